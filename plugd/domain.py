@@ -1,0 +1,490 @@
+"""The frozen values that cross modules. Numbers carry their unit; SOC is a fraction; times are aware UTC."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from datetime import date, datetime, time
+from enum import StrEnum
+
+Series = tuple[float, ...]
+
+
+# -- the grid's carbon intensity ------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Intensity:
+    """Mean carbon intensity of the half hour that begins at `start`."""
+
+    start: datetime
+    g_per_kwh: float
+
+
+@dataclass(frozen=True, slots=True)
+class Forecast:
+    """What the source said at one moment, keyed by each row's own time, never by position.
+
+    `expected` are its forecasts, `actual` the measured values it gave beside them (national only),
+    both sorted with one value a half hour. `dropped` says what was left out, one short text a cause.
+    """
+
+    issued_at: datetime
+    region: str
+    expected: tuple[Intensity, ...]
+    actual: tuple[Intensity, ...] = ()
+    dropped: tuple[str, ...] = ()
+
+
+class SlotSource(StrEnum):
+    """Where an outlook's number came from."""
+
+    NESO = "neso"
+    CORRECTED = "corrected"
+    TAIL = "tail"
+
+
+@dataclass(frozen=True, slots=True)
+class OutlookSlot:
+    """Expected intensity of one half hour, with its standard deviation."""
+
+    start: datetime
+    g_per_kwh: float
+    sd_g_per_kwh: float
+    source: SlotSource
+
+
+@dataclass(frozen=True, slots=True)
+class Outlook:
+    """One expected intensity per half hour, without gaps, to the end of the last session."""
+
+    slots: tuple[OutlookSlot, ...]
+    forecast_until: datetime | None
+    """End of the last half hour that the source itself covers, None without a forecast."""
+
+
+# -- the house ------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Car:
+    """The battery and how it is driven. SOC as fractions, energies in battery kWh."""
+
+    capacity_kwh: float = 50.0
+    efficiency: float = 0.9
+    soc_min: float = 0.2
+    soc_max: float = 0.8
+    daily_use_kwh: float = 5.8
+    daily_use_sd_kwh: float = 2.67
+
+
+@dataclass(frozen=True, slots=True)
+class DayRule:
+    """What is special about the session that ends on one weekday."""
+
+    ready_by: time | None = None
+    minimum: float | None = None
+    away: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Trip:
+    """A dated override of one morning."""
+
+    day: date
+    ready_by: time | None = None
+    minimum: float | None = None
+    away: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Nights:
+    """When the car is expected, in local time, and what its owner asks of a morning."""
+
+    horizon: int = 4
+    plug_in: time = time(18, 0)
+    plug_in_sd_min: float = 60.0
+    plug_out: time = time(9, 0)
+    plug_out_sd_min: float = 60.0
+    ready_by: time | None = None
+    confidence: float = 0.98
+    minimum: float = 0.5
+    default_window: tuple[time, time] = (time(23, 0), time(6, 0))
+    week: tuple[tuple[int, DayRule], ...] = ()
+    """(weekday, 0 = Monday, of the session's end; its rule)."""
+
+
+@dataclass(frozen=True, slots=True)
+class RelayRules:
+    """How often a relay may move. Guard, reserve and a person are counted apart and not limited."""
+
+    min_on_s: float = 900.0
+    min_off_s: float = 600.0
+    max_switch_on: int = 6
+    random_delay_s: float = 600.0
+
+
+@dataclass(frozen=True, slots=True)
+class Capability:
+    """What a plug can be told: on and off, or any power from `power_min_kw` up (0 is always allowed)."""
+
+    power_max_kw: float
+    modulating: bool = False
+    power_min_kw: float = 0.0
+    dead_man: bool = False
+    """Whether it comes on by itself when plugd falls silent."""
+
+
+@dataclass(frozen=True, slots=True)
+class Household:
+    """All that stays the same until the configuration is edited."""
+
+    timezone: str = "Europe/London"
+    car: Car = field(default_factory=Car)
+    nights: Nights = field(default_factory=Nights)
+    relay: RelayRules = field(default_factory=RelayRules)
+    capability: Capability = field(default_factory=lambda: Capability(power_max_kw=2.3, dead_man=True))
+    guard_margin_s: float = 2400.0
+    """Between the guard's last safe finish and the session end: a random delay and half an hour."""
+    planner_slack_s: float = 1200.0
+    """How much earlier still the planner aims, so that in health the guard never fires."""
+
+
+# -- what was seen --------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """What the plug last told. `at`: when it told the relay's state; `metered_at`: power and energy."""
+
+    at: datetime
+    on: bool
+    power_kw: float | None = None
+    energy_kwh: float | None = None
+    """The meter's own total: it may reset or be missing."""
+    metered_at: datetime | None = None
+    changed_by_other: bool | None = None
+    """The relay's new state where it moved since the last reading without being told: a press, a power cut."""
+    came_back: bool = False
+    """The plug was away (power cut, Wi-Fi, broker) since the last reading."""
+
+
+class Mode(StrEnum):
+    """What the owner wants."""
+
+    OFF = "off"
+    SMART = "smart"
+    NOW = "now"
+
+
+@dataclass(frozen=True, slots=True)
+class SetMode:
+    """Off, smart, or now until full, unplugged or changed."""
+
+    mode: Mode
+
+
+@dataclass(frozen=True, slots=True)
+class SetSoc:
+    """How full the car is, as a fraction, said by `source` (hub, car)."""
+
+    soc: float
+    source: str = "hub"
+
+
+@dataclass(frozen=True, slots=True)
+class SetMinimum:
+    """The morning minimum, as a fraction."""
+
+    minimum: float
+
+
+@dataclass(frozen=True, slots=True)
+class SetReadyBy:
+    """The session end, local time; None to go back to the configured rule."""
+
+    ready_by: time | None
+
+
+@dataclass(frozen=True, slots=True)
+class SetHorizon:
+    """How many sessions are planned together."""
+
+    sessions: int
+
+
+@dataclass(frozen=True, slots=True)
+class SetConnected:
+    """Whether the car is at the plug."""
+
+    connected: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Replan:
+    """Plan now."""
+
+
+Command = SetMode | SetSoc | SetMinimum | SetReadyBy | SetHorizon | SetConnected | Replan
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What is told to whoever sent a command."""
+
+    command: str
+    ok: bool
+    message: str
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """Something that does not work: a stable code for programs, a sentence with the remedy for people."""
+
+    code: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Observation:
+    """Everything one tick may know of the world. A port that failed is None here, and a fault."""
+
+    reading: Reading | None = None
+    forecast: Forecast | None = None
+    history: tuple[Intensity, ...] = ()
+    commands: tuple[Command, ...] = ()
+    faults: tuple[Fault, ...] = ()
+
+
+# -- what is planned ------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Session:
+    """One expected stay at the plug, and what its end must find."""
+
+    start: datetime
+    end: datetime
+    """The session end: guard, planner and report use this one time."""
+    minimum: float
+    daily_use_kwh: float
+    """Driven after it, in battery kWh, the cautious quantile."""
+    ceiling: float
+
+
+@dataclass(frozen=True, slots=True)
+class PlanSlot:
+    """Planned mean power over a half hour or a part of one. `limit_kw`: the most it could have had."""
+
+    start: datetime
+    end: datetime
+    power_kw: float
+    limit_kw: float
+    intensity_g_per_kwh: float
+
+
+@dataclass(frozen=True, slots=True)
+class SessionPlan:
+    """A session with what the plan makes of it."""
+
+    session: Session
+    slots: tuple[PlanSlot, ...]
+    soc_end: float
+    shortfall_kwh: float
+    """Battery kWh by which its end stays under the morning minimum."""
+
+    @property
+    def energy_kwh(self) -> float:
+        """Planned energy at the plug."""
+        return sum(s.power_kw * (s.end - s.start).total_seconds() / 3600.0 for s in self.slots)
+
+    @property
+    def intensity_g_per_kwh(self) -> float | None:
+        """Mean intensity of what is planned, None where nothing is."""
+        energy_kwh = self.energy_kwh
+        if energy_kwh <= 0.0:
+            return None
+        return (
+            sum(s.power_kw * (s.end - s.start).total_seconds() / 3600.0 * s.intensity_g_per_kwh for s in self.slots)
+            / energy_kwh
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """All sessions of the horizon, and how the solver got there."""
+
+    made_at: datetime
+    sessions: tuple[SessionPlan, ...]
+    status: str
+    solver: str
+    carbon_g: float
+    gap: float
+
+    def slots(self) -> Iterator[PlanSlot]:
+        """Every slot, in order of time."""
+        for session in self.sessions:
+            yield from session.slots
+
+
+@dataclass(frozen=True, slots=True)
+class Switch:
+    """The relay's state from a moment on."""
+
+    at: datetime
+    on: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Switching:
+    """A relay's orders: sorted switches, good until `until`. Before the first one the relay is off."""
+
+    switches: tuple[Switch, ...]
+    until: datetime
+
+    def state(self, now: datetime) -> bool:
+        """Whether the relay is wanted on."""
+        return next((s.on for s in reversed(self.switches) if s.at <= now), False)
+
+    def next(self, now: datetime, on: bool) -> datetime | None:
+        """The next moment at which the relay goes on (or off)."""
+        return next((s.at for s in self.switches if s.at > now and s.on is on), None)
+
+
+@dataclass(frozen=True, slots=True)
+class Setpoint:
+    """What a modulating charger is told until the next word."""
+
+    power_kw: float
+    until: datetime
+
+    def __post_init__(self) -> None:
+        if self.power_kw < 0:
+            raise ValueError(f"power_kw is {self.power_kw}; plugd only charges")
+
+
+@dataclass(frozen=True, slots=True)
+class Relay:
+    """What a plug is told. An off that is not `held` is on a timer: the plug comes on if plugd falls silent."""
+
+    on: bool
+    held: bool = False
+    """A person's own off: no timer."""
+
+
+Orders = Switching | Setpoint
+Wanted = Relay | Setpoint
+
+
+class Status(StrEnum):
+    """What plugd is doing, for hubs and people."""
+
+    WAITING_FOR_FORECAST = "waiting_for_forecast"
+    HOLDING = "holding_for_cleaner_night"
+    WAITING = "waiting_to_start"
+    CHARGING = "charging"
+    BOOSTING = "boosting"
+    READY = "ready"
+    DISCONNECTED = "disconnected"
+    OFF = "off"
+    FAULT = "fault"
+
+
+# -- what is remembered ---------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class SocEstimate:
+    """State of charge as far as it is known: mean and standard deviation, as fractions of capacity."""
+
+    mean: float
+    sd: float
+    source: str
+    told_at: datetime | None
+    """When somebody who knows last said it; None if never."""
+    driven_to: datetime
+    """Driving up to this moment is already in the mean."""
+    meter_kwh: float | None = None
+    """The meter's total that the mean includes."""
+    metered_at: datetime | None = None
+    peak_kw: float = 0.0
+    """Highest power since the relay last went on: a fall from it, then nothing, means the car is full."""
+    last_kw: float = 0.0
+    """Power of the last reading that showed any."""
+
+
+@dataclass(frozen=True, slots=True)
+class Overrides:
+    """What people set through hub or page. None: the configuration's word counts."""
+
+    mode: Mode = Mode.SMART
+    minimum: float | None = None
+    ready_by: time | None = None
+    horizon: int | None = None
+    trips: tuple[Trip, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Presence:
+    """Whether the car is at the plug, as told; None where nobody said."""
+
+    connected: bool | None = None
+    since: datetime | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Press:
+    """A person used the plug's own button. Over at `until`, at a plug-in or unplugging, or at a person's word."""
+
+    on: bool
+    until: datetime | None
+
+
+@dataclass(frozen=True, slots=True)
+class Memory:
+    """All that one tick leaves for the next, and for the next start of the daemon."""
+
+    soc: SocEstimate
+    overrides: Overrides = field(default_factory=Overrides)
+    presence: Presence = field(default_factory=Presence)
+    plan: Plan | None = None
+    orders: Orders | None = None
+    relay_on: bool | None = None
+    """What the relay was last told or seen to be."""
+    relay_since: datetime | None = None
+    switch_ons: tuple[datetime, ...] = ()
+    """When the plan switched it on, in the last day."""
+    press: Press | None = None
+    guarding: bool = False
+    """The guard has fired and holds on until the minimum is measured as reached."""
+    guard_count: int = 0
+    observed_kw: float | None = None
+    """Power the car really takes, smoothed."""
+    saved_g: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """What one tick decided, and why."""
+
+    at: datetime
+    memory: Memory
+    status: Status
+    reason: str
+    sessions: tuple[Session, ...]
+    outlook: Outlook | None
+    forecast_issued_at: datetime | None = None
+    faults: tuple[Fault, ...] = ()
+    answers: tuple[Answer, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """One line of the log that reports are made of: a half hour or less."""
+
+    at: datetime
+    soc: float
+    power_kw: float | None
+    energy_kwh: float | None
+    on: bool
+    status: Status
+    reason: str
+    intensity_g_per_kwh: float | None

@@ -1,0 +1,117 @@
+"""What the tests need of the machine, what is left out where it is missing, and the fixtures to use it by.
+
+`PLUGD_REQUIRE=mosquitto,data` turns a missing component into a failure of the whole run.
+"""
+
+import os
+import shutil
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from plugd_hil.broker import Mosquitto, find_mosquitto
+
+pytest_plugins = ["pytester"]
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def find_data() -> Path | None:
+    """The folder of measured series, if it is there."""
+    folder = Path(os.environ.get("PLUGD_DATA", ROOT.parent / "shared" / "data"))
+    return folder if (folder / "neso_national_2023.csv").is_file() else None
+
+
+def find_chromium() -> Path | None:
+    """A browser for the status page."""
+    found = shutil.which("chromium") or shutil.which("chromium-browser")
+    return Path(found) if found else None
+
+
+@dataclass(frozen=True, slots=True)
+class Component:
+    """Something of the machine that some tests cannot do without."""
+
+    find: Callable[[], Path | None]
+    remedy: str
+    fixtures: tuple[str, ...]
+    """A test that asks for one of these needs the component, marked or not."""
+
+
+COMPONENTS = {
+    "mosquitto": Component(
+        lambda: find_mosquitto(os.environ.get("PATH", "")), "sudo apt install mosquitto", ("mosquitto",)
+    ),
+    "data": Component(find_data, "set PLUGD_DATA to the folder with neso_national_2023.csv", ("neso_data",)),
+    "chromium": Component(find_chromium, "sudo apt install chromium", ("chromium",)),
+}
+LEFT_OUT = pytest.StashKey[Counter[str]]()
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Ends the run at once where a component that was promised is unknown or missing."""
+    missing = {name for name, component in COMPONENTS.items() if component.find() is None}
+    config.stash[LEFT_OUT] = Counter(dict.fromkeys(sorted(missing), 0))
+    for name in filter(None, (n.strip() for n in os.environ.get("PLUGD_REQUIRE", "").split(","))):
+        if name not in COMPONENTS:
+            raise pytest.UsageError(f"PLUGD_REQUIRE: unknown component {name}; known: {', '.join(COMPONENTS)}")
+        if name in missing:
+            raise pytest.UsageError(f"PLUGD_REQUIRE: {name} is missing; {COMPONENTS[name].remedy}")
+
+
+def _needs(item: pytest.Item) -> set[str]:
+    marked = {name for mark in item.iter_markers("requires") for name in mark.args}
+    fixtures = set(getattr(item, "fixturenames", ()))
+    asked = {name for name, component in COMPONENTS.items() if fixtures.intersection(component.fixtures)}
+    if unknown := marked - COMPONENTS.keys():
+        raise pytest.UsageError(f"{item.nodeid} requires unknown {', '.join(unknown)}")
+    return marked | asked
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Marks what this machine cannot run, and counts it."""
+    left_out = config.stash[LEFT_OUT]
+    for item in items:
+        if missing := sorted(_needs(item) & left_out.keys()):
+            left_out.update(missing)
+            item.add_marker(pytest.mark.skip(reason=f"needs {', '.join(missing)}"))
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
+    """Says last what was left out, and how to have it next time."""
+    left_out = config.stash[LEFT_OUT]
+    if left_out:
+        terminalreporter.section("left out")
+    for name, tests in left_out.items():
+        terminalreporter.line(f"{name}: {tests} test{'' if tests == 1 else 's'}; {COMPONENTS[name].remedy}")
+
+
+def _found(name: str) -> Path:
+    found = COMPONENTS[name].find()
+    if found is None:
+        pytest.skip(f"needs {name}")
+    return found
+
+
+@pytest.fixture
+def mosquitto(tmp_path: Path) -> Iterator[Mosquitto]:
+    """A running broker of this test's own; `stop()` and `start()` it at will."""
+    broker = Mosquitto(_found("mosquitto"), tmp_path)
+    broker.start()
+    yield broker
+    broker.stop()
+
+
+@pytest.fixture(scope="session")
+def neso_data() -> Path:
+    """The folder of measured series."""
+    return _found("data")
+
+
+@pytest.fixture(scope="session")
+def chromium() -> Path:
+    """The browser's program."""
+    return _found("chromium")
