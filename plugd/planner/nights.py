@@ -1,0 +1,136 @@
+"""From sessions, outlook and SOC to the solver's problem, and from its answer back to a plan with times."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+
+from plugd.domain import Household, Outlook, Plan, PlanSlot, Session, SessionPlan
+from plugd.planner.problem import Problem, ProblemSession, Solution
+from plugd.units import hours, pieces, slot_start, span_h
+
+GUARD_SHARE = 0.9
+"""The guard counts on this share of the power; so does the plan in the stretch the guard could claim."""
+MET_KWH = 0.1
+"""A morning minimum missed by less is met: a fifth of a point of the usual battery, below any measurement."""
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """One column of the problem: a half hour or a part of one, and what may flow in it."""
+
+    start: datetime
+    end: datetime
+    limit_kw: float
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """One row of the problem. The first session has two: up to the deadline, and from there to its end."""
+
+    session: Session
+    pieces: tuple[Piece, ...]
+    minimum_kwh: float
+    daily_use_kwh: float
+
+
+def _cut(start: datetime, end: datetime, now: datetime, limit_kw: float) -> Iterator[Piece]:
+    """The half hours of a span. Elapsed ones stay, with no power, so that the problem keeps its shape."""
+    for first, last in pieces(start, end):
+        if last <= now:
+            yield Piece(first, last, 0.0)
+        else:
+            yield Piece(max(first, now), last, limit_kw)
+
+
+def _derated(found: tuple[Piece, ...], since: datetime) -> tuple[Piece, ...]:
+    """The same pieces, planned with the guard's share of the power from `since` on."""
+    return tuple(Piece(p.start, p.end, p.limit_kw * GUARD_SHARE if p.end > since else p.limit_kw) for p in found)
+
+
+def _tonight(
+    session: Session, now: datetime, energy_kwh: float, power_kw: float, household: Household
+) -> tuple[Part, Part]:
+    """The first session, with its minimum due before the guard would act (design: deadline)."""
+    car = household.car
+    minimum_kwh = session.minimum * car.capacity_kwh
+    if 0.0 < minimum_kwh - energy_kwh < MET_KWH:
+        minimum_kwh = energy_kwh
+    need_kwh = max(0.0, minimum_kwh - energy_kwh)
+    early = timedelta(seconds=household.guard_margin_s + household.planner_slack_s)
+    deadline = max(session.end - early, session.start)
+    stretch = span_h(need_kwh / (GUARD_SHARE * power_kw * car.efficiency))
+    before = tuple(_cut(session.start, deadline, now, power_kw))
+    after = tuple(_cut(deadline, session.end, now, power_kw))
+    if need_kwh > 0.0 and early:
+        before, after = _derated(before, deadline - stretch), _derated(after, deadline)
+    passed = now >= deadline or deadline == session.start
+    return (
+        Part(session, before, 0.0 if passed else minimum_kwh, 0.0),
+        Part(session, after, minimum_kwh, session.daily_use_kwh),
+    )
+
+
+def layout(
+    sessions: tuple[Session, ...], now: datetime, energy_kwh: float, power_kw: float, household: Household
+) -> tuple[Part, ...]:
+    """The rows and columns for these sessions. `energy_kwh`: in the battery; `power_kw`: what the car takes."""
+    parts: list[Part] = []
+    for session in sessions:
+        if not parts:
+            tonight = _tonight(session, now, energy_kwh, power_kw, household)
+            parts.extend(part for part in tonight if part.pieces)
+        else:
+            cut = tuple(_cut(session.start, session.end, now, power_kw))
+            parts.append(Part(session, cut, session.minimum * household.car.capacity_kwh, session.daily_use_kwh))
+    return tuple(parts)
+
+
+def problem(
+    parts: tuple[Part, ...], outlook: Outlook, energy_kwh: float, previous: Plan | None, household: Household
+) -> Problem:
+    """The solver's problem. Intensity comes from the outlook, which covers every slot."""
+    g_per_kwh = {slot.start: slot.g_per_kwh for slot in outlook.slots}
+    typical = sum(g_per_kwh.values()) / max(1, len(g_per_kwh))
+    before = {} if previous is None else {slot_start(s.start): s.power_kw for s in previous.slots()}
+    car = household.car
+    return Problem(
+        energy_kwh=energy_kwh,
+        reserve_kwh=car.soc_min * car.capacity_kwh,
+        efficiency=car.efficiency,
+        sessions=tuple(
+            ProblemSession(
+                # An elapsed slot has no number any more; it takes no power, so any will do.
+                intensity_g_per_kwh=tuple(g_per_kwh.get(slot_start(p.start), typical) for p in part.pieces),
+                slot_h=tuple(hours(p.end - p.start) for p in part.pieces),
+                power_max_kw=tuple(p.limit_kw for p in part.pieces),
+                minimum_kwh=part.minimum_kwh,
+                ceiling_kwh=part.session.ceiling * car.capacity_kwh,
+                daily_use_kwh=part.daily_use_kwh,
+                power_min_kw=household.capability.power_min_kw,
+            )
+            for part in parts
+        ),
+        previous_power_kw=tuple(
+            tuple(min(before.get(slot_start(p.start), 0.0), p.limit_kw) for p in part.pieces) for part in parts
+        )
+        if before
+        else None,
+    )
+
+
+def plan(now: datetime, parts: tuple[Part, ...], stated: Problem, solution: Solution, household: Household) -> Plan:
+    """The solution with its times; the two parts of the first session are one again."""
+    found: list[SessionPlan] = []
+    for part, terms, power_kw, end_kwh, short_kwh in zip(
+        parts, stated.sessions, solution.power_kw, solution.energy_kwh, solution.shortfall_kwh, strict=True
+    ):
+        slots = tuple(
+            PlanSlot(p.start, p.end, kw, p.limit_kw, g)
+            for p, kw, g in zip(part.pieces, power_kw, terms.intensity_g_per_kwh, strict=True)
+            if p.end > now
+        )
+        if found and found[-1].session is part.session:
+            slots = found.pop().slots + slots
+        soc_end = end_kwh / household.car.capacity_kwh
+        found.append(SessionPlan(part.session, slots, soc_end, short_kwh if short_kwh >= MET_KWH else 0.0))
+    return Plan(now, tuple(found), solution.status, solution.solver, solution.carbon_g, solution.gap)

@@ -1,0 +1,97 @@
+"""How full the car is: told now and then, carried on by the meter, lowered by driving in between."""
+
+from dataclasses import replace
+from datetime import datetime
+
+from plugd.domain import Car, Reading, SocEstimate
+from plugd.units import hours, within
+
+CAUTION_SD = 2.05
+"""Standard deviations below the mean that promises are made on: one night in fifty."""
+UNKNOWN_MEAN, UNKNOWN_SD = 0.5, 0.2
+"""Before anybody said anything: promises count on 9 %."""
+TOLD_SD = 0.005
+FULL_SD = 0.02
+METER_SHARE = 0.02
+"""Growth of the standard deviation per metered energy: meter and efficiency are not exact."""
+FLOWING_KW = 0.05
+TAPERED_SHARE = 0.6
+"""A car that is full lets its power fall before it stops; one that is unplugged does not."""
+RESET_KWH = 1.0
+"""A meter that starts anew shows less than this; anything else that falls is a fault of the meter."""
+
+
+def unknown(now: datetime) -> SocEstimate:
+    """The estimate at the first start."""
+    return SocEstimate(mean=UNKNOWN_MEAN, sd=UNKNOWN_SD, source="assumed", told_at=None, driven_to=now)
+
+
+def cautious(estimate: SocEstimate) -> float:
+    """The SOC that promises are made on, as a fraction."""
+    return within(0.0, estimate.mean - CAUTION_SD * estimate.sd, 1.0)
+
+
+def told(estimate: SocEstimate, soc: float, now: datetime, source: str) -> SocEstimate:
+    """Somebody who knows says how full the car is now."""
+    return replace(
+        estimate,
+        mean=within(0.0, soc, 1.0),
+        sd=TOLD_SD,
+        source=source,
+        told_at=now,
+        driven_to=now,
+        peak_kw=0.0,
+        last_kw=0.0,
+    )
+
+
+def driven(estimate: SocEstimate, drives: tuple[tuple[datetime, int], ...], car: Car) -> SocEstimate:
+    """Take off the daily use for each homecoming (when, days), and trust the number less."""
+    for home_at, days in drives:
+        mean = max(0.0, estimate.mean - days * car.daily_use_kwh / car.capacity_kwh)
+        variance = estimate.sd**2 + days * (car.daily_use_sd_kwh / car.capacity_kwh) ** 2
+        estimate = replace(estimate, mean=mean, sd=variance**0.5, driven_to=home_at)
+    return estimate
+
+
+def metered(estimate: SocEstimate, reading: Reading, car: Car, power_max_kw: float) -> SocEstimate:
+    """Add what the meter counted since the last reading, and notice when the car has stopped taking power."""
+    if reading.metered_at is None or (estimate.metered_at is not None and reading.metered_at <= estimate.metered_at):
+        return estimate
+    flowed_kwh = _flowed_kwh(estimate, reading, power_max_kw)
+    gain = flowed_kwh * car.efficiency / car.capacity_kwh
+    estimate = replace(
+        estimate,
+        mean=within(0.0, estimate.mean + gain, 1.0),
+        sd=estimate.sd + METER_SHARE * gain,
+        meter_kwh=reading.energy_kwh if reading.energy_kwh is not None else estimate.meter_kwh,
+        metered_at=reading.metered_at,
+    )
+    return _noticed_full(estimate, reading, car)
+
+
+def _flowed_kwh(estimate: SocEstimate, reading: Reading, power_max_kw: float) -> float:
+    """Energy at the plug since the last reading, never negative and never more than could have flowed."""
+    if reading.energy_kwh is None or estimate.meter_kwh is None:
+        return 0.0
+    flowed_kwh = reading.energy_kwh - estimate.meter_kwh
+    if flowed_kwh < 0.0:
+        flowed_kwh = reading.energy_kwh if 0.0 <= reading.energy_kwh < RESET_KWH else 0.0
+    if estimate.metered_at is not None and reading.metered_at is not None:
+        most_kwh = 1.5 * power_max_kw * hours(reading.metered_at - estimate.metered_at) + 0.1
+        if flowed_kwh > most_kwh:
+            return 0.0
+    return flowed_kwh
+
+
+def _noticed_full(estimate: SocEstimate, reading: Reading, car: Car) -> SocEstimate:
+    """Power that fell away and then stopped, with the relay on: the car is at its own limit."""
+    if not reading.on or reading.power_kw is None:
+        return replace(estimate, peak_kw=0.0, last_kw=0.0) if not reading.on else estimate
+    if reading.power_kw >= FLOWING_KW:
+        return replace(estimate, peak_kw=max(estimate.peak_kw, reading.power_kw), last_kw=reading.power_kw)
+    if estimate.peak_kw > FLOWING_KW and estimate.last_kw < TAPERED_SHARE * estimate.peak_kw:
+        # The car's own limit is not known; that its owner set it no lower than soc_max is the cautious reading.
+        full = max(car.soc_max, estimate.mean)
+        return replace(estimate, mean=full, sd=FULL_SD, source="full", peak_kw=0.0, last_kw=0.0)
+    return estimate
