@@ -1,0 +1,394 @@
+"""The store: what is saved comes back, after a kill too; damage is set aside; errors say what to do."""
+
+import os
+import signal
+import sqlite3
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from datetime import UTC, date, datetime, time, timedelta
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from plugd.adapters import store as store_module
+from plugd.adapters.store import SqliteStore
+from plugd.adapters.store_pack import pack, unpack
+from plugd.domain import (
+    Forecast,
+    Intensity,
+    Memory,
+    Mode,
+    Overrides,
+    Plan,
+    PlanSlot,
+    Presence,
+    Record,
+    Session,
+    SessionPlan,
+    Setpoint,
+    SocEstimate,
+    Status,
+    Switch,
+    Switching,
+    Trip,
+)
+from plugd.errors import AlreadyRunning, StoreError
+from plugd.ports import Store
+from plugd.units import HALF_HOUR
+
+T0 = datetime(2023, 3, 14, 17, 0, tzinfo=UTC)
+SOC = SocEstimate(mean=0.43, sd=0.02, source="hub", told_at=T0, driven_to=T0, meter_kwh=123.456)
+
+
+def planned(count: int = 3) -> Plan:
+    session = Session(T0, T0 + timedelta(hours=11), minimum=0.5, daily_use_kwh=11.28, ceiling=0.8)
+    slots = tuple(
+        PlanSlot(T0 + k * HALF_HOUR, T0 + (k + 1) * HALF_HOUR, 2.3 / (k + 1), 2.3, 100.0 + k) for k in range(count)
+    )
+    return Plan(T0, (SessionPlan(session, slots, 0.61, 0.0),), "solved", "osqp", 1234.5, 1e-6)
+
+
+FULL = Memory(
+    soc=SOC,
+    overrides=Overrides(
+        mode=Mode.NOW,
+        minimum=0.6,
+        ready_by=time(7, 30),
+        horizon=3,
+        trips=(Trip(date(2023, 3, 15), time(5, 0), 0.8), Trip(date(2023, 3, 16), away=True)),
+    ),
+    presence=Presence(True, T0 + timedelta(microseconds=1)),
+    plan=planned(),
+    orders=Switching((Switch(T0, True), Switch(T0 + HALF_HOUR, False)), T0 + timedelta(hours=9)),
+    relay_on=True,
+    relay_since=T0,
+    switch_ons=(T0, T0 + HALF_HOUR),
+    guarding=True,
+    observed_kw=2.21,
+    saved_g=1234.5,
+)
+
+
+def forecast(issued_at: datetime, *values: float, region: str = "national") -> Forecast:
+    start = issued_at.replace(minute=issued_at.minute // 30 * 30, second=0)
+    return Forecast(issued_at, region, tuple(Intensity(start + k * HALF_HOUR, v) for k, v in enumerate(values)))
+
+
+def record(at: datetime, soc: float = 0.5) -> Record:
+    return Record(at, soc, 2.3, 10.0, True, Status.CHARGING, "charging: the cleanest hours are now", 87.0)
+
+
+def test_the_first_start_remembers_nothing(tmp_path: Path) -> None:
+    with SqliteStore(tmp_path / "state") as opened:
+        store: Store = opened
+        assert store.load() is None
+        assert store.latest_forecast() is None
+        assert store.history(T0) == ()
+        assert opened.records(T0) == ()
+        assert opened.notices == ()
+    assert (tmp_path / "state").stat().st_mode & 0o777 == 0o700
+
+
+@pytest.mark.parametrize("orders", [FULL.orders, Setpoint(1.4, T0), Setpoint(0.0, T0), Switching((), T0), None])
+def test_a_saved_memory_comes_back_whole_after_a_restart(tmp_path: Path, orders: Switching | Setpoint | None) -> None:
+    memory = replace(FULL, orders=orders)
+    with SqliteStore(tmp_path) as store:
+        store.save(Memory(soc=SOC))
+        store.save(memory)
+    with SqliteStore(tmp_path) as store:
+        loaded = store.load()
+    assert loaded == memory
+    assert loaded is not None
+    assert type(loaded.orders) is type(orders)
+    assert loaded.soc.driven_to.utcoffset() == timedelta(0)
+
+
+moments = st.datetimes(datetime(2000, 1, 1), datetime(2100, 1, 1), timezones=st.just(UTC))  # noqa: DTZ001
+numbers = st.floats(allow_nan=False, allow_infinity=False)
+switchings = st.builds(Switching, st.lists(st.builds(Switch, moments, st.booleans()), max_size=3).map(tuple), moments)
+memories = st.builds(
+    Memory,
+    soc=st.builds(SocEstimate, numbers, numbers, st.text(), st.none() | moments, moments, st.none() | numbers),
+    overrides=st.builds(
+        Overrides, mode=st.sampled_from(Mode), minimum=st.none() | numbers, ready_by=st.none() | st.times()
+    ),
+    orders=st.none() | switchings | st.builds(Setpoint, st.floats(0, 22), moments),
+    relay_on=st.none() | st.booleans(),
+    switch_ons=st.lists(moments, max_size=3).map(tuple),
+    saved_g=numbers,
+)
+
+
+@given(memory=memories)
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_any_memory_comes_back(tmp_path: Path, memory: Memory) -> None:
+    with SqliteStore(tmp_path) as store:
+        store.save(memory)
+        assert store.load() == memory
+
+
+def test_an_unchanged_memory_writes_nothing(tmp_path: Path) -> None:
+    with SqliteStore(tmp_path) as store:
+        store.save(FULL)
+        before = (tmp_path / "plugd.db-wal").stat().st_size
+        store.save(replace(FULL))
+        assert (tmp_path / "plugd.db-wal").stat().st_size == before
+        store.save(replace(FULL, saved_g=0.0))
+        assert (tmp_path / "plugd.db-wal").stat().st_size > before
+
+
+def test_a_memory_that_could_not_be_read_again_is_refused_and_the_last_one_stays(tmp_path: Path) -> None:
+    with SqliteStore(tmp_path) as store:
+        store.save(FULL)
+        with pytest.raises(StoreError, match="cannot be saved"):
+            store.save(replace(FULL, saved_g=float("nan")))
+        assert store.load() == FULL
+
+
+def test_an_unreadable_memory_is_an_error_and_the_next_save_mends_it(tmp_path: Path) -> None:
+    with SqliteStore(tmp_path) as store:
+        store.save(FULL)
+    with sqlite3.connect(tmp_path / "plugd.db") as db:
+        db.execute("UPDATE memory SET body = 'x'")
+    db.close()
+    with SqliteStore(tmp_path) as store:
+        with pytest.raises(StoreError, match="memory cannot be read"):
+            store.load()
+        store.save(FULL)
+        assert store.load() == FULL
+
+
+def test_log_lines_come_back_in_order_of_time(tmp_path: Path) -> None:
+    with SqliteStore(tmp_path) as store:
+        for k in (2, 0, 1):
+            store.append(record(T0 + k * HALF_HOUR, soc=0.1 * k))
+    with SqliteStore(tmp_path) as store:
+        assert store.records(T0 + HALF_HOUR) == (record(T0 + HALF_HOUR, 0.1), record(T0 + 2 * HALF_HOUR, 0.2))
+
+
+def test_a_forecast_comes_back_as_issued(tmp_path: Path) -> None:
+    issued = T0 + timedelta(minutes=7, seconds=3, microseconds=21)
+    kept = Forecast(
+        issued,
+        "13",
+        expected=(Intensity(T0, 0.0), Intensity(T0 + 3 * HALF_HOUR, 101.5)),
+        actual=(Intensity(T0 - HALF_HOUR, 99.0),),
+        dropped=("2 rows with a null forecast",),
+    )
+    with SqliteStore(tmp_path) as store:
+        store.keep(forecast(T0, 1.0, 2.0))
+        store.keep(kept)
+    with SqliteStore(tmp_path) as store:
+        assert store.latest_forecast() == kept
+        assert store.forecasts(T0) == (forecast(T0, 1.0, 2.0), kept)
+        assert store.forecasts(issued) == (kept,)
+
+
+@given(
+    st.lists(st.tuples(st.integers(0, 800_000), st.floats(0, 1000)), max_size=50),
+    st.lists(st.text(), max_size=3),
+)
+def test_packing_loses_nothing(rows: list[tuple[int, float]], dropped: list[str]) -> None:
+    values = tuple(Intensity(datetime.fromtimestamp(1800 * k, UTC), value) for k, value in sorted(dict(rows).items()))
+    kept = Forecast(T0, "national", values, values[:2], tuple(dropped))
+    assert unpack(T0, "national", pack(kept)) == kept
+
+
+def test_a_forecast_takes_few_bytes() -> None:
+    assert len(pack(forecast(T0, *(100.0 + 37 * k % 150 for k in range(96))))) < 500
+
+
+def test_history_is_what_was_last_expected_of_half_hours_that_are_over(tmp_path: Path) -> None:
+    with SqliteStore(tmp_path) as store:
+        store.keep(forecast(T0, 100.0, 110.0, 120.0, 130.0))
+        assert store.history(T0) == ()
+        store.keep(forecast(T0 + HALF_HOUR + timedelta(minutes=1), 115.0, 125.0, 135.0))
+        store.keep(forecast(T0 + 2 * HALF_HOUR, 126.0, 136.0))
+        assert store.history(T0) == (Intensity(T0, 100.0), Intensity(T0 + HALF_HOUR, 115.0))
+        assert store.history(T0 + HALF_HOUR) == (Intensity(T0 + HALF_HOUR, 115.0),)
+
+
+def test_history_prefers_what_was_measured_and_a_measured_zero_counts(tmp_path: Path) -> None:
+    with SqliteStore(tmp_path) as store:
+        store.keep(forecast(T0, 100.0, 110.0, 120.0))
+        later = forecast(T0 + 2 * HALF_HOUR, 121.0)
+        store.keep(replace(later, actual=(Intensity(T0, 0.0), Intensity(T0 + HALF_HOUR, 95.0))))
+        assert store.history(T0) == (Intensity(T0, 0.0), Intensity(T0 + HALF_HOUR, 95.0))
+        store.keep(forecast(T0 + 2 * HALF_HOUR, 122.0))
+        assert store.history(T0)[1] == Intensity(T0 + HALF_HOUR, 95.0)
+
+
+def test_history_fills_an_outage_with_what_was_expected_before_it(tmp_path: Path) -> None:
+    with SqliteStore(tmp_path) as store:
+        store.keep(forecast(T0, *range(100, 110)))
+        store.keep(forecast(T0 + 5 * HALF_HOUR, 205.0))
+        assert [value.g_per_kwh for value in store.history(T0)] == [100.0, 101.0, 102.0, 103.0, 104.0]
+
+
+def test_history_is_of_the_last_forecasts_region(tmp_path: Path) -> None:
+    with SqliteStore(tmp_path) as store:
+        store.keep(forecast(T0, 100.0, 110.0))
+        store.keep(forecast(T0, 50.0, 60.0, region="1"))
+        store.keep(forecast(T0 + HALF_HOUR, 61.0, region="1"))
+        assert store.history(T0) == (Intensity(T0, 50.0),)
+
+
+def test_old_rows_go_by_number_so_a_clock_years_ahead_empties_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("MOST_FORECASTS", "MOST_RECORDS", "MOST_SEEN"):
+        monkeypatch.setattr(store_module, name, 4)
+    with SqliteStore(tmp_path) as store:
+        for k in range(10):
+            store.keep(forecast(T0 + k * HALF_HOUR, 100.0 + k))
+            store.append(record(T0 + k * HALF_HOUR))
+        assert [kept.issued_at for kept in store.forecasts(T0)] == [T0 + k * HALF_HOUR for k in (6, 7, 8, 9)]
+        assert len(store.records(T0)) == 4
+        assert len(store.history(T0)) <= 4
+        store.keep(forecast(T0.replace(year=2033), 100.0))
+        assert len(store.forecasts(T0)) == 4
+
+
+def test_thirty_days_fit_their_share_of_20_mb_in_13_months(tmp_path: Path) -> None:
+    days = 30
+    with SqliteStore(tmp_path) as store:
+        for k in range(days * 48):
+            now = T0 + k * HALF_HOUR
+            store.keep(forecast(now, *(float((k * k + 7919 * j * j) % 260 + 40) for j in range(96))))
+            store.append(record(now))
+            if k % 48 == 0:  # a page or two, always the same ones
+                store.save(replace(FULL, plan=planned(88), saved_g=float(k)))
+    assert (tmp_path / "plugd.db").stat().st_size < 16e6 * days / 396  # 4 MB are the write-ahead log's
+
+
+def test_a_second_daemon_is_turned_away_and_a_reader_is_not(tmp_path: Path) -> None:
+    with SqliteStore(tmp_path) as store:
+        store.save(FULL)
+        with pytest.raises(AlreadyRunning, match=rf"another plugd \(process {os.getpid()}\)"):
+            SqliteStore(tmp_path)
+        with SqliteStore(tmp_path, hold=False) as reader:
+            assert reader.load() == FULL
+    with SqliteStore(tmp_path) as store:
+        assert store.load() == FULL
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from plugd.adapters.store import SqliteStore
+sys.path.insert(0, {tests!r})
+from tests.adapters.test_store import FULL, T0, forecast, record
+store = SqliteStore(Path({folder!r}))
+store.save(FULL)
+store.keep(forecast(T0, 1.0))
+store.append(record(T0))
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_what_was_written_survives_a_kill(tmp_path: Path) -> None:
+    root = str(Path(__file__).parents[2])
+    program = KILLED.format(tests=root, folder=str(tmp_path))
+    ended = subprocess.run([sys.executable, "-c", program], cwd=root, check=False, capture_output=True)
+    assert ended.returncode == -signal.SIGKILL, ended.stderr.decode()
+    with SqliteStore(tmp_path) as store:
+        assert store.load() == FULL
+        assert store.latest_forecast() == forecast(T0, 1.0)
+        assert store.records(T0) == (record(T0),)
+
+
+def _zeros(path: Path) -> None:
+    path.write_bytes(bytes(4096))
+
+
+def _text(path: Path) -> None:
+    path.write_text("this is not a database " * 300, encoding="ascii")
+
+
+def _torn(path: Path) -> None:
+    content = path.read_bytes()
+    path.write_bytes(content[: len(content) // 2])
+
+
+def _flipped(path: Path) -> None:
+    content = bytearray(path.read_bytes())
+    content[5000:9000] = bytes(255 - byte for byte in content[5000:9000])
+    path.write_bytes(content)
+
+
+@pytest.mark.parametrize("damage", [_zeros, _text, _torn, _flipped])
+def test_a_damaged_store_is_set_aside_and_a_new_one_begun(tmp_path: Path, damage: Callable[[Path], None]) -> None:
+    with SqliteStore(tmp_path) as store:
+        store.save(FULL)
+        for k in range(40):
+            store.keep(forecast(T0 + k * HALF_HOUR, *map(float, range(96))))
+    damage(tmp_path / "plugd.db")
+    with SqliteStore(tmp_path) as store:
+        assert store.load() is None
+        assert len(store.notices) == 1
+        assert "damaged" in store.notices[0]
+        store.save(FULL)
+        assert store.load() == FULL
+    aside = [path.name for path in tmp_path.iterdir() if ".corrupt." in path.name]
+    assert len(aside) == 1
+    assert aside[0].endswith("Z")
+
+
+def test_a_reader_before_the_first_start_finds_nothing_and_makes_nothing(tmp_path: Path) -> None:
+    with SqliteStore(tmp_path / "state", hold=False) as reader:
+        assert reader.load() is None
+        assert reader.history(T0) == ()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_reader_leaves_a_damaged_store_alone(tmp_path: Path) -> None:
+    _text(tmp_path / "plugd.db")
+    with pytest.raises(StoreError, match="no database; restart plugd"):
+        SqliteStore(tmp_path, hold=False)
+    assert [path.name for path in tmp_path.iterdir()] == ["plugd.db"]
+
+
+def test_a_newer_plugds_store_is_refused_untouched_and_the_folder_let_go(tmp_path: Path) -> None:
+    with SqliteStore(tmp_path) as store:
+        store.save(FULL)
+    with sqlite3.connect(tmp_path / "plugd.db") as db:
+        db.execute("PRAGMA user_version = 99")
+    db.close()
+    for _ in range(2):
+        with pytest.raises(StoreError, match="newer plugd"):
+            SqliteStore(tmp_path)
+
+
+def fill(store: SqliteStore) -> None:
+    for k in range(200):
+        store.append(record(T0 + k * HALF_HOUR))
+
+
+def test_a_full_disk_is_told_and_what_was_there_stays(tmp_path: Path) -> None:
+    with SqliteStore(tmp_path) as store:
+        store.save(FULL)
+        pages = store._db.execute("PRAGMA page_count").fetchone()[0]
+        store._db.execute(f"PRAGMA max_page_count = {pages}")
+        with pytest.raises(StoreError, match="the disk is full; make room"):
+            fill(store)
+        assert store.load() == FULL
+        store._db.execute("PRAGMA max_page_count = 100000")
+        store.append(record(T0 + 500 * HALF_HOUR))
+        assert store.records(T0 + 500 * HALF_HOUR) == (record(T0 + 500 * HALF_HOUR),)
+
+
+def test_a_store_that_may_not_be_written_is_told(tmp_path: Path) -> None:
+    with SqliteStore(tmp_path) as store:
+        store._db.execute("PRAGMA query_only = ON")
+        with pytest.raises(StoreError, match="may not be written"):
+            store.save(FULL)
+
+
+def test_a_folder_that_cannot_be_is_told(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("", encoding="ascii")
+    with pytest.raises(StoreError, match=r"check state\.dir"):
+        SqliteStore(tmp_path / "file" / "state")
