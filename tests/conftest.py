@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+
 from plugd_hil.broker import Mosquitto, find_mosquitto
 
 pytest_plugins = ["pytester"]

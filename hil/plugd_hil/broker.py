@@ -76,6 +76,16 @@ class BrokerProcess:
         self._reader = threading.Thread(target=self.log.extend, args=(lines,), daemon=True)
         self._reader.start()
 
+    @property
+    def ended(self) -> bool:
+        """Whether it has ended by itself."""
+        return self._process is not None and self._process.poll() is not None
+
+    @property
+    def last_words(self) -> str:
+        """The last line that it wrote."""
+        return self.log[-1].strip() if self.log else "it said nothing"
+
     def stop(self) -> None:
         """Ends it and every connection to it. Nothing happens where it does not run."""
         process, self._process = self._process, None

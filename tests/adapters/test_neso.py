@@ -14,9 +14,6 @@ from typing import Any
 import pytest
 from hypothesis import event, example, given, settings
 from hypothesis import strategies as st
-from plugd_hil.neso import Handler, StubNeso, serve
-from plugd_hil.neso_source import SeriesSource
-from plugd_hil.synthetic import synthetic_year
 
 from plugd import __version__
 from plugd.adapters.neso import Neso, outward
@@ -25,6 +22,9 @@ from plugd.domain import Forecast, Intensity
 from plugd.errors import ConfigError, ForecastError, ForecastMalformed, ForecastUnavailable
 from plugd.ports import ForecastSource
 from plugd.units import HALF_HOUR, slot_start
+from plugd_hil.neso import Handler, StubNeso, serve
+from plugd_hil.neso_source import SeriesSource
+from plugd_hil.synthetic import synthetic_year
 
 NOW = datetime(2026, 9, 6, 8, 13, 20, tzinfo=UTC)
 UNDER_WAY = slot_start(NOW)

@@ -8,6 +8,7 @@ from contextlib import suppress
 from datetime import UTC, datetime, timedelta
 
 import pytest
+
 from plugd_hil.conductor import Conductor, Line, Participant
 
 START = datetime(2023, 1, 2, 12, tzinfo=UTC)

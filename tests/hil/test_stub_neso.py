@@ -16,6 +16,11 @@ from typing import Any
 
 import pytest
 import requests
+
+from plugd.adapters.neso import Neso
+from plugd.errors import UsageError
+from plugd.series import IntensitySeries, load
+from plugd.units import HALF_HOUR, slot_start
 from plugd_hil.neso import serve
 from plugd_hil.neso_answers import Refused, answer_to
 from plugd_hil.neso_faults import NAMES, rows_in
@@ -31,11 +36,6 @@ from plugd_hil.neso_source import (
     shift_to,
 )
 from plugd_hil.synthetic import synthetic_year
-
-from plugd.adapters.neso import Neso
-from plugd.errors import UsageError
-from plugd.series import IntensitySeries, load
-from plugd.units import HALF_HOUR, slot_start
 
 ROOT = Path(__file__).parents[2]
 T0 = datetime(2023, 1, 9, 12, 0, tzinfo=UTC)

@@ -1,0 +1,120 @@
+"""Where MQTT messages wait to be read: bounded, in order of arrival, and something to wait by."""
+
+import threading
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+from typing import Protocol
+
+MAX_PAYLOAD_BYTES = 4 * 1024
+"""What is looked at: nothing that plugd understands is longer."""
+MAX_MESSAGES = 512
+
+
+class Retained(Enum):
+    """What a reader wants of retained messages; in MQTT 5's words (handling, as published, no local)."""
+
+    FLAGGED = (2, True, False)
+    """Not replayed; a live one is flagged. For commands, which must not be retained."""
+    LIVE = (2, False, False)
+    """Not replayed; what the broker kept (3.1.1 replays it) is flagged. For telemetry."""
+    REPLAYED = (0, False, False)
+    """Replayed, flagged; live ones are not. For last wills."""
+    WATCHED = (0, True, True)
+    """Replayed and live, both flagged, without what we publish ourselves."""
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """What arrived. `retain`: it is, or was published as, the broker's kept copy."""
+
+    topic: str
+    payload: bytes
+    retain: bool
+
+
+class Doorbell:
+    """Something to wait by. A ring is kept for the next wait."""
+
+    def __init__(self) -> None:
+        self._news = threading.Condition()  # its lock is re-entrant: `wake` may run in a signal handler
+        self._rung = False
+
+    def wait_for(self, arrived: Callable[[], bool], timeout_s: float) -> None:
+        """Until `arrived`, a ring, or the time is over."""
+        with self._news:
+            self._news.wait_for(lambda: self._rung or arrived(), timeout_s)
+            self._rung = False
+
+    def hold(self, arrived: Callable[[], bool], timeout_s: float) -> bool:
+        """Until `arrived` or the time is over, whoever rings. Returns whether it has arrived."""
+        with self._news:
+            return self._news.wait_for(arrived, timeout_s)
+
+    def look(self) -> None:
+        """Something has changed: those who wait look again."""
+        with self._news:
+            self._news.notify_all()
+
+    def wake(self) -> None:
+        """End a wait, this one or the next."""
+        with self._news:
+            self._rung = True
+            self._news.notify_all()
+
+
+class Line(Protocol):
+    """What a mailbox needs of its connection."""
+
+    bell: Doorbell
+
+    def flush(self) -> None:
+        """Return once all that was held for us is pending."""
+
+
+class Mailbox:
+    """The messages of some topic filters in order of arrival; when it is full the oldest go first.
+
+    It is an inbox of its own (`plugd.ports.Inbox`), for waits that other mailboxes' messages must not end.
+    """
+
+    def __init__(self, line: Line, filters: dict[str, Retained]) -> None:
+        self.filters = filters
+        self.dropped = 0
+        """How many messages were too long, or too many."""
+        self._line = line
+        self._messages: deque[Message] = deque()
+
+    def put(self, message: Message) -> None:
+        """Called by the network thread."""
+        if len(message.payload) > MAX_PAYLOAD_BYTES:
+            self.dropped += 1
+            return
+        if len(self._messages) >= MAX_MESSAGES:
+            self._messages.popleft()
+            self.dropped += 1
+        self._messages.append(message)
+
+    def take(self) -> tuple[Message, ...]:
+        """All that is here, oldest first."""
+        taken = []
+        while self._messages:
+            taken.append(self._messages.popleft())
+        return tuple(taken)
+
+    def pending(self) -> bool:
+        """Whether something is here."""
+        return bool(self._messages)
+
+    def wait(self, timeout_s: float) -> None:
+        """Until something is here, somebody wakes us, the connection comes or goes, or the time is over."""
+        self._line.bell.wait_for(self.pending, timeout_s)
+
+    def wake(self) -> None:
+        """End a wait."""
+        self._line.bell.wake()
+
+    def flush(self) -> None:
+        """As the connection's."""
+        self._line.flush()

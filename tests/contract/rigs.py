@@ -1,0 +1,194 @@
+"""The implementations of `plugd.ports.Plug` under test, each with the hands to do to it what the world does."""
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from datetime import timedelta
+from pathlib import Path
+from typing import Protocol
+
+from plugd.adapters.clock import SystemClock
+from plugd.adapters.mqtt import Broker, MqttConnection
+from plugd.adapters.tasmota import Tasmota
+from plugd.domain import Reading, Relay, Setpoint, Wanted
+from plugd.ports import Clock, Plug
+from plugd_hil.broker import Mosquitto
+from tests.fakes import FakeCharger, FakeClock, FakePlug
+
+HIL = Path(__file__).resolve().parents[2] / "hil"
+DEAD_MAN_S = 1.0
+"""Short enough to be lived through, long enough for an answer."""
+
+
+class Rig(Protocol):
+    """A plug with the world around it. The car is connected, half full."""
+
+    plug: Plug
+    clock: Clock
+    dead_man_s: float
+
+    def press(self) -> None:
+        """A person presses the button."""
+
+    def cut(self) -> None:
+        """The mains fail for a moment."""
+
+    def mute(self) -> None:
+        """It says nothing any more."""
+
+    def jam(self) -> None:
+        """It answers, and does not do as told."""
+
+    def pause(self, until: Callable[[], bool], longest_s: float) -> None:
+        """Let time pass until something is so, or the time is over."""
+
+
+def order(rig: Rig, on: bool, held: bool = False) -> Wanted:
+    """On at full power, or off, in this plug's own words."""
+    capability = rig.plug.capability
+    if not capability.modulating:
+        return Relay(on, held)
+    return Setpoint(capability.power_max_kw if on else 0.0, rig.clock.now() + timedelta(hours=1))
+
+
+def eventually(rig: Rig, so: Callable[[Reading], bool], longest_s: float) -> Reading:
+    """The first reading that is so; the last one where none is."""
+    readings = [rig.plug.read()]
+
+    def look() -> bool:
+        readings.append(rig.plug.read())
+        return so(readings[-1])
+
+    if not so(readings[0]):
+        rig.pause(look, longest_s)
+    return readings[-1]
+
+
+class FakeRig:
+    """A fake on a fake clock."""
+
+    def __init__(self, fake: FakePlug | FakeCharger, clock: FakeClock) -> None:
+        self.plug: Plug = fake
+        self.clock: Clock = clock
+        self.dead_man_s = 3600.0
+        self._fake = fake
+
+    def press(self) -> None:
+        """Plugs have a button."""
+        if isinstance(self._fake, FakePlug):
+            self._fake.press()
+
+    def cut(self) -> None:
+        """Plugs tell."""
+        if isinstance(self._fake, FakePlug):
+            self._fake.cut()
+
+    def mute(self) -> None:
+        """Say nothing."""
+        self._fake.silent = True
+
+    def jam(self) -> None:
+        """Do nothing."""
+        self._fake.stuck = True
+
+    def pause(self, until: Callable[[], bool], longest_s: float) -> None:
+        """A hundred steps."""
+        for _ in range(100):
+            self.clock.wait(self.clock.now() + timedelta(seconds=longest_s / 100.0))
+            if until():
+                return
+
+
+class StubPlug:
+    """The stub plug's program, and the wire to its stdin."""
+
+    def __init__(self, broker: Mosquitto, *options: str) -> None:
+        """Returns once the stub is at the broker."""
+        at = f"{broker.host}:{broker.port}"
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "plugd_hil.plug", "--broker", at, "--stdin", *options],
+            env={"PYTHONPATH": f"{HIL}:{HIL.parent}", "OMP_NUM_THREADS": "1"},
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        if self._process.stdout is None or not json.loads(self._process.stdout.readline())["ready"]:
+            raise RuntimeError("the stub plug is not ready")
+
+    def tell(self, line: str) -> None:
+        """Something happens in its world."""
+        if self._process.stdin is None:
+            raise RuntimeError("the stub plug was started without a pipe")
+        self._process.stdin.write(f"{line}\n")
+        self._process.stdin.flush()
+
+    def close(self) -> int:
+        """Ends it. Returns its exit status."""
+        self._process.communicate(timeout=10.0)
+        return self._process.returncode
+
+
+class TasmotaRig:
+    """The Tasmota adapter, a real broker, and the stub plug in a process of its own. Time is real."""
+
+    def __init__(self, stub: StubPlug, plug: Tasmota, clock: SystemClock, connection: MqttConnection) -> None:
+        self.plug: Plug = plug
+        self.clock: Clock = clock
+        self.dead_man_s = DEAD_MAN_S
+        self.connection = connection
+        self.stub = stub
+
+    def press(self) -> None:
+        """The button."""
+        self.stub.tell("press")
+
+    def cut(self) -> None:
+        """The mains."""
+        self.stub.tell("cut 0")
+
+    def mute(self) -> None:
+        """Its Wi-Fi hangs."""
+        self.stub.tell("mute")
+        self.clock.wait(self.clock.now() + timedelta(seconds=0.2))
+
+    def jam(self) -> None:
+        """Somebody has locked it."""
+        self.connection.publish("cmnd/ev-plug/PowerLock", b"1")
+
+    def pause(self, until: Callable[[], bool], longest_s: float) -> None:
+        """Until a message makes it so."""
+        end = self.clock.now() + timedelta(seconds=longest_s)
+        while self.clock.now() < end and not until():
+            self.clock.wait(end, self.connection)
+
+
+def fake_plug(_broker: Callable[[], Mosquitto]) -> Iterator[Rig]:
+    """The fake of a plug."""
+    clock = FakeClock()
+    yield FakeRig(FakePlug(clock), clock)
+
+
+def fake_charger(_broker: Callable[[], Mosquitto]) -> Iterator[Rig]:
+    """The fake of a charger."""
+    clock = FakeClock()
+    yield FakeRig(FakeCharger(clock), clock)
+
+
+def tasmota(broker: Callable[[], Mosquitto]) -> Iterator[Rig]:
+    """90 kW behind the socket: then a second of charging shows on a meter that counts in Wh."""
+    at = broker()
+    stub = StubPlug(at, "--power", "90", "--soc", "50")
+    clock = SystemClock()
+    connection = MqttConnection(Broker(at.host, at.port), "plugd-contract")
+    plug = Tasmota(connection, clock, "ev-plug", 90.0, DEAD_MAN_S)
+    connection.start()
+    connection.wait_connected(5.0)
+    yield TasmotaRig(stub, plug, clock, connection)
+    connection.close()
+    clock.close()
+    stub.close()
+
+
+RIGS = {"fake plug": fake_plug, "fake charger": fake_charger, "tasmota": tasmota}
+WITH_DEAD_MAN = ("fake plug", "tasmota")
