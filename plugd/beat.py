@@ -1,0 +1,153 @@
+"""Every few seconds: who has the last word on the relay now, and when that may change.
+
+An electrical cut comes before everything (the plug's adapter refuses to switch on); then a person's off, the guard,
+the reserve, a person's on, and last the plan.
+"""
+
+from dataclasses import dataclass, replace
+from datetime import datetime, timedelta
+from enum import StrEnum
+from functools import partial
+
+from plugd import sessions, soc
+from plugd.domain import Household, Memory, Mode, Relay, Session, Setpoint, Switching, Wanted
+from plugd.guard import Need, Verdict, guard
+from plugd.planner.nights import MET_KWH
+
+WATCH = timedelta(seconds=60)
+"""While something other than the plan holds the relay on, its end is looked for this often."""
+LEASE = 2 * WATCH
+"""How long a setpoint of such a holder counts: renewed at every look, it does not run out before the next."""
+
+
+class Cause(StrEnum):
+    """Whose word it is."""
+
+    PERSON_OFF = "person_off"
+    GUARD = "guard"
+    RESERVE = "reserve"
+    PERSON_ON = "person_on"
+    ABSENT = "absent"
+    PLAN = "plan"
+
+
+@dataclass(frozen=True, slots=True)
+class Action:
+    """What the plug is told now, on whose word, and the moment to look again at the latest."""
+
+    wanted: Wanted
+    cause: Cause
+    memory: Memory
+    verdict: Verdict
+    until: datetime | None
+    session: Session | None = None
+    """Of the stay under way, as far as known."""
+
+    @property
+    def on(self) -> bool:
+        """Whether power may flow."""
+        return is_on(self.wanted)
+
+
+def is_on(wanted: Wanted) -> bool:
+    """Whether power may flow under these orders."""
+    return wanted.on if isinstance(wanted, Relay) else wanted.power_kw > 0.0
+
+
+def next_plug_in(now: datetime, memory: Memory, household: Household) -> datetime | None:
+    """When the next stay is expected to begin. None where no night at home is."""
+    stays = sessions.windows(household, memory.overrides, now)
+    return next((stay.session.start for stay in stays if stay.session.start > now), None)
+
+
+def _at_stake(now: datetime, memory: Memory, household: Household) -> tuple[Session | None, Need | None]:
+    """The session whose morning is at stake, and what is missing to it.
+
+    That of the stay under way; once nothing is missing there, the coming one, from the early plug-in on: a car that
+    came home early and has far to go must not wait for the time it was expected.
+    """
+    stay = sessions.under_way(now, household, memory.overrides, memory.presence)
+    session = None if stay is None else stay.session
+    need = _missing(now, session, memory, household)
+    if need is not None and need.energy_kwh > 0.0:
+        return session, need
+    coming = sessions.coming_home(now, household, memory.overrides, memory.presence)
+    if coming is None:
+        return session, need
+    return coming.session, _missing(now, coming.session, memory, household)
+
+
+def _missing(now: datetime, session: Session | None, memory: Memory, household: Household) -> Need | None:
+    """What a session still lacks for its morning, by the cautious SOC. None where there is no session."""
+    if session is None:
+        return None
+    if memory.presence.connected is False and now >= session.end:
+        return None  # told to be gone, and its morning is over: nothing is left to save
+    energy_kwh = (session.minimum - soc.cautious(memory.soc)) * household.car.capacity_kwh
+    energy_kwh += sessions.use_before_kwh(
+        session.start, now, memory.soc.driven_to, household, memory.overrides, memory.presence
+    )
+    return Need(session.end, energy_kwh if energy_kwh >= MET_KWH else 0.0)
+
+
+def _below_reserve(session: Session | None, memory: Memory, household: Household) -> bool:
+    """Connected, told so or else expected to be, and emptier than the reserve."""
+    told = memory.presence.connected
+    here = session is not None if told is None else told
+    return here and soc.cautious(memory.soc) < household.car.soc_min
+
+
+def _planned(now: datetime, memory: Memory, household: Household) -> tuple[Wanted, datetime | None]:
+    """The plan's word now, and when it next changes."""
+    orders = memory.orders
+    if isinstance(orders, Setpoint) and now < orders.until:
+        return orders, orders.until
+    if isinstance(orders, Switching):
+        on = orders.state(now) and now < orders.until
+        return Relay(on), orders.next(now, not on)
+    return _off(now, household, held=False), None
+
+
+def _off(now: datetime, household: Household, held: bool) -> Wanted:
+    return Setpoint(0.0, now + LEASE) if household.capability.modulating else Relay(False, held)
+
+
+def _full_on(now: datetime, household: Household) -> Wanted:
+    capability = household.capability
+    return Setpoint(capability.power_max_kw, now + LEASE) if capability.modulating else Relay(True)
+
+
+def decide(now: datetime, memory: Memory, household: Household) -> Action:
+    """Who wins now. Pure; `memory` comes back with whether the guard holds."""
+    session, need = _at_stake(now, memory, household)
+    verdict = guard(
+        now,
+        need,
+        observed_kw=memory.observed_kw,
+        nominal_kw=household.capability.power_max_kw,
+        efficiency=household.car.efficiency,
+        margin_s=household.guard_margin_s,
+        guarding=memory.guarding,
+    )
+    press = memory.press
+    off_by_person = memory.overrides.mode is Mode.OFF or (press is not None and not press.on)
+    fired = verdict.on and not off_by_person
+    fresh = fired and not memory.guarding
+    memory = replace(memory, guarding=fired, guard_count=memory.guard_count + int(fresh))
+    act = partial(Action, memory=memory, verdict=verdict, session=session)
+    if off_by_person:
+        ends = None if press is None else press.until
+        return act(_off(now, household, held=True), Cause.PERSON_OFF, until=ends)
+    for holds, cause in (
+        (fired, Cause.GUARD),
+        (_below_reserve(session, memory, household), Cause.RESERVE),
+        (memory.overrides.mode is Mode.NOW or press is not None, Cause.PERSON_ON),
+    ):
+        if holds:
+            return act(_full_on(now, household), cause, until=now + WATCH)
+    wanted, changes = _planned(now, memory, household)
+    moments = (changes, verdict.last_safe_start, next_plug_in(now, memory, household))
+    until = min((m for m in moments if m is not None and m > now), default=None)
+    if memory.presence.connected is False:
+        return act(_off(now, household, held=False), Cause.ABSENT, until=until)
+    return act(wanted, Cause.PLAN, until=until)

@@ -1,0 +1,132 @@
+"""The decision: what the household, the world as seen and the memory make of one moment. Pure."""
+
+from dataclasses import dataclass, replace
+from datetime import datetime, timedelta
+
+from plugd import beat, commands, reasons, sessions, soc
+from plugd import outlook as outlooks
+from plugd.domain import (
+    Decision,
+    Household,
+    Memory,
+    Observation,
+    Orders,
+    Outlook,
+    Plan,
+    Session,
+    SessionPlan,
+    Setpoint,
+    Switching,
+)
+from plugd.guard import believed_kw
+from plugd.perception import perceive
+from plugd.planner import nights
+from plugd.planner.problem import Solver
+from plugd.relay import RelayHistory, delay_s, realise
+
+
+@dataclass(slots=True)
+class Controller:
+    """Decides for one household. The solver's workspace is the only state, and only a cache."""
+
+    household: Household
+    solver: Solver
+    seed: str = "plugd"
+    """What sets this household's random delays apart from its neighbours'."""
+
+    def tick(self, now: datetime, seen: Observation, memory: Memory) -> Decision:
+        """Obey commands, look at the plug, plan the next sessions, and turn tonight's plan into orders."""
+        memory, answers = commands.apply(seen.commands, memory, self.household, now)
+        memory = perceive(now, seen.reading, memory, self.household)
+        coming = self._coming(now, memory)
+        outlook = None
+        if coming:
+            outlook = outlooks.extend(seen.forecast, seen.history, now, coming[-1].end)
+            plan = self._plan(now, coming, outlook, memory)
+            memory = replace(memory, plan=plan, orders=self._orders(now, plan, memory))
+        else:
+            memory = replace(memory, plan=None, orders=None)
+        decision = self.describe(now, seen, memory, outlook)
+        return replace(decision, answers=answers, sessions=coming)
+
+    def resume(self, now: datetime, seen: Observation, memory: Memory) -> Decision:
+        """The decision after a restart: the stored plan as it is, nothing planned anew."""
+        coming = memory.plan.sessions if memory.plan else ()
+        outlook = outlooks.extend(seen.forecast, seen.history, now, coming[-1].session.end) if coming else None
+        return self.describe(now, seen, memory, outlook)
+
+    def act(self, now: datetime, seen: Observation, memory: Memory) -> beat.Action:
+        """What the plug is told between ticks: the stored orders, unless somebody outranks them."""
+        memory = perceive(now, seen.reading, memory, self.household)
+        return beat.decide(now, memory, self.household)
+
+    def describe(self, now: datetime, seen: Observation, memory: Memory, outlook: Outlook | None) -> Decision:
+        """The decision as it stands, with its status and reason."""
+        action = beat.decide(now, memory, self.household)
+        status, reason = reasons.explain(now, action, memory, outlook, self.household, seen.faults)
+        planned = memory.plan.sessions if memory.plan else ()
+        return Decision(
+            at=now,
+            memory=action.memory,
+            status=status,
+            reason=reason,
+            sessions=tuple(s.session for s in planned),
+            outlook=outlook,
+            forecast_issued_at=seen.forecast.issued_at if seen.forecast else None,
+            faults=seen.faults,
+        )
+
+    def _coming(self, now: datetime, memory: Memory) -> tuple[Session, ...]:
+        horizon = memory.overrides.horizon or self.household.nights.horizon
+        return sessions.expected(now, self.household, memory.overrides, memory.presence, horizon)
+
+    def _plan(self, now: datetime, coming: tuple[Session, ...], outlook: Outlook, memory: Memory) -> Plan:
+        """Solve on the cautious SOC, with the power that the car was seen to take."""
+        car = self.household.car
+        energy_kwh = soc.cautious(memory.soc) * car.capacity_kwh
+        energy_kwh -= sessions.use_before_kwh(
+            coming[0].start, now, memory.soc.driven_to, self.household, memory.overrides, memory.presence
+        )
+        power_kw = believed_kw(memory.observed_kw, self.household.capability.power_max_kw)
+        parts = nights.layout(coming, now, energy_kwh, power_kw, self.household)
+        stated = nights.problem(parts, outlook, energy_kwh, memory.plan, self.household)
+        return nights.plan(now, parts, stated, self.solver.solve(stated), self.household)
+
+    def _orders(self, now: datetime, plan: Plan, memory: Memory) -> Orders:
+        """Tonight's plan in the plug's own terms."""
+        tonight = plan.sessions[0]
+        if self.household.capability.modulating:
+            return _setpoint(now, tonight)
+        car = self.household.car
+        ceiling_kwh = (tonight.session.ceiling - tonight.soc_end) * car.capacity_kwh
+        need_kwh = (tonight.session.minimum - soc.cautious(memory.soc)) * car.capacity_kwh
+        history = RelayHistory(
+            on=bool(memory.relay_on),
+            since=memory.relay_since,
+            switch_ons=tuple(at for at in memory.switch_ons if at >= tonight.session.start),
+            orders=memory.orders if isinstance(memory.orders, Switching) else None,
+        )
+        return realise(
+            tonight,
+            now,
+            history,
+            self.household.relay,
+            surplus_kwh=max(0.0, ceiling_kwh) / car.efficiency,
+            must_kwh=max(0.0, need_kwh) / car.efficiency,
+            margin_s=self.household.guard_margin_s,
+            delay=self._delay if self.household.relay.random_delay_s > 0.0 else None,
+        )
+
+    def _delay(self, block_start: datetime) -> float:
+        """Seconds by which a block of the plan starts later, so that neighbours do not start as one."""
+        return delay_s(block_start, seed=self.seed, most_s=self.household.relay.random_delay_s)
+
+
+def _setpoint(now: datetime, tonight: SessionPlan) -> Setpoint:
+    """The power of the slot under way, or none until the session begins."""
+    for slot in tonight.slots:
+        if slot.start <= now < slot.end:
+            return Setpoint(slot.power_kw, slot.end)
+        if slot.start > now:
+            return Setpoint(0.0, slot.start)
+    return Setpoint(0.0, now + timedelta(minutes=30))

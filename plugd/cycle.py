@@ -1,0 +1,271 @@
+"""Fetch, observe, decide, apply, save, publish. Every failed port becomes a None and a fault; nothing else stops."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from datetime import datetime, timedelta
+from typing import TypeVar
+
+from plugd.beat import Action, is_on
+from plugd.beat import Cause as By
+from plugd.controller import Controller
+from plugd.domain import (
+    Command,
+    Decision,
+    Fault,
+    Forecast,
+    Intensity,
+    Memory,
+    Observation,
+    Reading,
+    Record,
+    Relay,
+    Wanted,
+)
+from plugd.errors import ForecastError, PlugError, StoreError
+from plugd.ports import Clock, ForecastSource, Hub, Plug, Store
+from plugd.units import next_slot, slot_start
+
+HISTORY = timedelta(days=56)
+FETCH_RETRY_S = (60.0, 120.0, 240.0, 480.0, 960.0, 1800.0)
+PLUG_RETRY_S = (5.0, 15.0, 60.0)
+Kept = TypeVar("Kept")
+
+
+def _nth(delays_s: tuple[float, ...], failures: int) -> timedelta:
+    """The pause after the n-th failure in a row."""
+    return timedelta(seconds=delays_s[min(failures, len(delays_s)) - 1])
+
+
+@dataclass(slots=True)
+class Retry:
+    """When to try again something that failed."""
+
+    delays_s: tuple[float, ...]
+    failures: int = 0
+    at: datetime | None = None
+
+    def failed(self, now: datetime, spread: float = 0.0) -> None:
+        """It failed again; `spread` in 0..1 lengthens the pause by up to half, so that not all come at once."""
+        self.failures += 1
+        self.at = now + _nth(self.delays_s, self.failures) * (1.0 + 0.5 * spread)
+
+    def succeeded(self) -> None:
+        """It worked."""
+        self.failures, self.at = 0, None
+
+    def due(self, now: datetime) -> bool:
+        """Whether it may be tried now. A moment too far ahead is from before the clock was set back."""
+        return self.at is None or not now < self.at <= now + 1.5 * _nth(self.delays_s, self.failures)
+
+
+@dataclass(slots=True)
+class Cycle:
+    """One household's loop body. `step` is called whenever something is due or arrived."""
+
+    clock: Clock
+    source: ForecastSource
+    plug: Plug
+    hub: Hub
+    store: Store
+    controller: Controller
+    memory: Memory
+    spread: Callable[[], float]
+    """A number in 0..1 for pauses between retries."""
+    forecast: Forecast | None = None
+    faults: dict[tuple[str, str], Fault] = field(default_factory=dict)
+    """By code, and by what failed where that has several ways to."""
+    decision: Decision | None = None
+    told: Wanted | None = None
+    planned_at: datetime | None = None
+    fetch: Retry = field(default_factory=lambda: Retry(FETCH_RETRY_S))
+    switch: Retry = field(default_factory=lambda: Retry(PLUG_RETRY_S))
+
+    def step(self) -> datetime:
+        """Look, decide and act once. Returns when to be called again at the latest."""
+        now = self.clock.now()
+        reading = self._read()
+        orders = tuple(self.hub.commands())
+        pressed = reading is not None and reading.changed_by_other is not None
+        ticks = bool(orders) or pressed or self._tick_due(now)
+        if ticks:
+            self._tick(now, reading, orders)
+        elif self.decision is None:
+            seen = self._seen(reading, history=self._history(now))
+            self.decision = self.controller.resume(now, seen, self.memory)
+        # What the tick has seen of the plug is in the memory: `act` looks at it only where none was.
+        action = self.controller.act(now, self._seen(None if ticks else reading), self.memory)
+        changed = action.memory.guarding is not self.memory.guarding
+        self.memory = action.memory
+        moved = self._apply(now, action, reading)
+        if moved or changed:
+            self._save()
+        self._tend(now)
+        self._publish(now, reading)
+        return self._next(now, action)
+
+    # -- looking ----------------------------------------------------------------------------------
+
+    def _read(self) -> Reading | None:
+        try:
+            reading = self.plug.read()
+        except PlugError as error:
+            self._fault("plug_silent", str(error))
+            return None
+        self._clear("plug_silent")
+        if reading.came_back:
+            self.told = None  # whatever it was told, it may have forgotten
+        return reading
+
+    def _seen(
+        self, reading: Reading | None, orders: tuple[Command, ...] = (), history: tuple[Intensity, ...] = ()
+    ) -> Observation:
+        faults = {fault.code: fault for fault in (*self.faults.values(), *self.plug.warnings)}
+        return Observation(reading, self.forecast, history, orders, tuple(faults.values()))
+
+    def _tick_due(self, now: datetime) -> bool:
+        """A new half hour since the last plan, no plan, or a forecast that is to be tried again."""
+        if self.planned_at is None:
+            plan = self.memory.plan
+            if plan is None:
+                return True
+            self.planned_at = plan.made_at
+        new_half_hour = slot_start(now) != slot_start(self.planned_at)
+        return new_half_hour or (self.fetch.failures > 0 and self.fetch.due(now))
+
+    def _fetch(self, now: datetime) -> None:
+        """A newer forecast, at most one a half hour; the last good one stays until then."""
+        issued = self.forecast.issued_at if self.forecast else None
+        if issued is not None and slot_start(issued) == slot_start(now):
+            return
+        if not self.fetch.due(now):
+            return
+        try:
+            self.forecast = self.source.fetch(now)
+        except ForecastError as error:
+            self.fetch.failed(now, self.spread())
+            self._fault("forecast", f"{error}; {self._forecast_age(now)}")
+            return
+        self.fetch.succeeded()
+        self._clear("forecast")
+        forecast = self.forecast
+        self._stored("keep", lambda: self.store.keep(forecast), None)
+
+    def _forecast_age(self, now: datetime) -> str:
+        if self.forecast is None:
+            return "planning with the usual day until it comes back"
+        hours_old = (now - self.forecast.issued_at).total_seconds() / 3600.0
+        return f"planning with the forecast of {hours_old:.1f} h ago"
+
+    # -- deciding ---------------------------------------------------------------------------------
+
+    def _tick(self, now: datetime, reading: Reading | None, orders: tuple[Command, ...]) -> None:
+        self._fetch(now)
+        self.decision = self.controller.tick(now, self._seen(reading, orders, self._history(now)), self.memory)
+        self.memory = self.decision.memory
+        self.planned_at = now
+        self.hub.answer(self.decision.answers)
+        self._save()
+        self._log(now, reading)
+
+    def _history(self, now: datetime) -> tuple[Intensity, ...]:
+        nothing: tuple[Intensity, ...] = ()
+        return self._stored("history", lambda: self.store.history(now - HISTORY), nothing)
+
+    def _log(self, now: datetime, reading: Reading | None) -> None:
+        if self.decision is None:
+            return
+        outlook = self.decision.outlook
+        intensity = outlook.slots[0].g_per_kwh if outlook and outlook.slots else None
+        record = Record(
+            at=now,
+            soc=self.memory.soc.mean,
+            power_kw=reading.power_kw if reading else None,
+            energy_kwh=reading.energy_kwh if reading else None,
+            on=bool(self.memory.relay_on),
+            status=self.decision.status,
+            reason=self.decision.reason,
+            intensity_g_per_kwh=intensity,
+        )
+        self._stored("append", lambda: self.store.append(record), None)
+
+    # -- acting -----------------------------------------------------------------------------------
+
+    def _apply(self, now: datetime, action: Action, reading: Reading | None) -> bool:
+        """Tell the plug where it is not as wanted. Returns whether the relay was moved."""
+        wanted = action.wanted
+        same = self.told is not None and _same(self.told, wanted)
+        as_wanted = reading is not None and reading.on is is_on(wanted)
+        # An "on" that is already on needs no word; an "off" has to be taken once, to arm or disarm its timer.
+        if as_wanted and (wanted == Relay(True) or (same and self.switch.failures == 0)):
+            self.told = wanted
+            self.switch.succeeded()
+            self._clear("plug_refuses")
+            return False
+        if same and not self.switch.due(now):
+            return False
+        self.told = wanted
+        try:
+            self.plug.set(wanted)
+        except PlugError as error:
+            self.switch.failed(now)
+            self._fault("plug_refuses", str(error))
+            return False
+        self.switch.succeeded()
+        self._clear("plug_refuses")
+        return self._remember(now, action)
+
+    def _remember(self, now: datetime, action: Action) -> bool:
+        """Whether the relay has moved; if so, for the dwell times and the switch budget."""
+        if self.memory.relay_on is action.on:
+            return False
+        ons = self.memory.switch_ons
+        if action.on and action.cause is By.PLAN:
+            ons = (*ons, now)
+        self.memory = replace(self.memory, relay_on=action.on, relay_since=now, switch_ons=ons)
+        return True
+
+    def _tend(self, now: datetime) -> None:
+        try:
+            self.plug.tend(now)
+        except PlugError as error:
+            self._fault("plug_silent", str(error))
+
+    # -- telling ----------------------------------------------------------------------------------
+
+    def _publish(self, now: datetime, reading: Reading | None) -> None:
+        if self.decision is None:
+            return
+        seen = self._seen(reading)
+        fresh = self.controller.describe(now, seen, self.memory, self.decision.outlook)
+        self.hub.publish(fresh, reading)
+
+    def _save(self) -> None:
+        self._stored("save", lambda: self.store.save(self.memory), None)
+
+    def _stored(self, what: str, act: Callable[[], Kept], otherwise: Kept) -> Kept:
+        """What the store answers. Where it fails a fault stands until the same succeeds; decisions go on."""
+        try:
+            answer = act()
+        except StoreError as error:
+            self._fault("store", str(error), what)
+            return otherwise
+        self._clear("store", what)
+        return answer
+
+    def _fault(self, code: str, text: str, what: str = "") -> None:
+        self.faults[code, what] = Fault(code, text)
+
+    def _clear(self, code: str, what: str = "") -> None:
+        self.faults.pop((code, what), None)
+
+    def _next(self, now: datetime, action: Action) -> datetime:
+        moments = [next_slot(now), action.until, self.plug.due()]
+        moments += [retry.at for retry in (self.fetch, self.switch)]
+        return min(m for m in moments if m is not None and m > now)
+
+
+def _same(told: Wanted, wanted: Wanted) -> bool:
+    """Whether telling the plug again would say nothing new. A setpoint is renewed before its time is over."""
+    if isinstance(told, Relay) or isinstance(wanted, Relay):
+        return told == wanted
+    return told.power_kw == wanted.power_kw and told.until >= wanted.until

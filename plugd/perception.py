@@ -1,0 +1,85 @@
+"""What a reading and the passing of time do to memory: SOC, presses at the plug, what has run out."""
+
+from dataclasses import replace
+from datetime import datetime, timedelta
+
+from plugd import sessions, soc
+from plugd.beat import next_plug_in
+from plugd.domain import Household, Memory, Mode, Press, Reading
+
+SMOOTHING = 0.2
+PLAUSIBLE_SHARE = (0.3, 1.2)
+"""Of the configured power: outside it a reading says nothing about what the car takes."""
+TAPER_SOC = 0.9
+"""Above it a car takes less because it is nearly full, which is no sign for another night."""
+BUDGET_SPAN = timedelta(hours=24)
+
+
+def fresh(now: datetime) -> Memory:
+    """The memory of a first start."""
+    return Memory(soc=soc.unknown(now))
+
+
+def perceive(now: datetime, reading: Reading | None, memory: Memory, household: Household) -> Memory:
+    """Memory after looking at the plug and the time. Without a reading only time passes."""
+    homecomings = sessions.drives(household, memory.overrides, memory.presence, memory.soc.driven_to, now)
+    memory = replace(
+        memory,
+        soc=soc.driven(memory.soc, homecomings, household.car),
+        switch_ons=tuple(at for at in memory.switch_ons if now - at < BUDGET_SPAN),
+    )
+    if reading is not None:
+        memory = _seen(now, reading, memory, household)
+    return _run_out(now, memory, household)
+
+
+def _seen(now: datetime, reading: Reading, memory: Memory, household: Household) -> Memory:
+    """What the plug itself tells."""
+    power_kw = household.capability.power_max_kw
+    memory = replace(memory, observed_kw=_observed_kw(reading, memory, power_kw))
+    memory = replace(memory, soc=soc.metered(memory.soc, reading, household.car, power_kw))
+    if reading.changed_by_other is not None:
+        memory = _pressed(now, reading.changed_by_other, memory, household)
+    if reading.on is not memory.relay_on:
+        # Seen for the first time, it may have been so for long: no dwell time is due.
+        since = None if memory.relay_on is None else reading.at
+        memory = replace(memory, relay_on=reading.on, relay_since=since)
+    return memory
+
+
+def _pressed(now: datetime, on: bool, memory: Memory, household: Household) -> Memory:
+    """A person's word at the plug counts for this stay, and takes back the opposite one said elsewhere."""
+    opposite = Mode.OFF if on else Mode.NOW
+    mode = Mode.SMART if memory.overrides.mode is opposite else memory.overrides.mode
+    # An off ends at the next plug-in: the told one, where anybody tells of them.
+    told = memory.presence.connected is not None
+    off_until = None if told else next_plug_in(now, memory, household)
+    until = _stay_end(now, memory, household) if on else off_until
+    return replace(memory, overrides=replace(memory.overrides, mode=mode), press=Press(on, until))
+
+
+def _stay_end(now: datetime, memory: Memory, household: Household) -> datetime | None:
+    """When the car has left, as far as expected: the end of the stay under way, else of the next."""
+    stays = sessions.windows(household, memory.overrides, now - sessions.DAY)
+    return next((stay.late_plug_out for stay in stays if stay.late_plug_out > now), None)
+
+
+def _observed_kw(reading: Reading, memory: Memory, configured_kw: float) -> float | None:
+    """The power the car really takes, smoothed over readings."""
+    low, high = (share * configured_kw for share in PLAUSIBLE_SHARE)
+    power_kw, known_kw = reading.power_kw, memory.observed_kw
+    new = reading.metered_at is not None and reading.metered_at != memory.soc.metered_at
+    if not (new and reading.on and power_kw is not None and low <= power_kw <= high):
+        return known_kw
+    if memory.soc.mean > TAPER_SOC:
+        return known_kw
+    return power_kw if known_kw is None else known_kw + SMOOTHING * (power_kw - known_kw)
+
+
+def _run_out(now: datetime, memory: Memory, household: Household) -> Memory:
+    """End what ends by itself: a boost when the battery is at its limit, a press on at the session's end."""
+    if memory.overrides.mode is Mode.NOW and memory.soc.mean >= household.car.soc_max:
+        memory = replace(memory, overrides=replace(memory.overrides, mode=Mode.SMART))
+    if memory.press is not None and memory.press.until is not None and now >= memory.press.until:
+        memory = replace(memory, press=None)
+    return memory

@@ -1,0 +1,161 @@
+"""One sentence that says what plugd is doing and why, and the status word that goes with it."""
+
+from datetime import datetime
+from zoneinfo import ZoneInfo
+
+from plugd import soc
+from plugd.beat import Action, Cause
+from plugd.domain import Fault, Household, Memory, Mode, Outlook, Session, SessionPlan, Status, Switching
+from plugd.units import to_pct
+
+PLANNED_KWH = 0.05
+"""Less than this in a session is nothing planned."""
+SHORT = 0.005
+"""A morning minimum missed by less is not spoken of: it would be "0 % short"."""
+UNCONTROLLED = ("plug_silent", "plug_refuses")
+"""With one of these faults nothing of what is wanted may be happening."""
+
+
+def _percent(fraction: float) -> str:
+    return f"{to_pct(fraction, 0):.0f} %"
+
+
+def _clock(moment: datetime, household: Household) -> str:
+    return f"{moment.astimezone(ZoneInfo(household.timezone)):%H:%M}"
+
+
+def _night(session: Session, household: Household) -> str:
+    return f"{session.start.astimezone(ZoneInfo(household.timezone)):%A} night"
+
+
+def _grams(intensity: float | None) -> str:
+    return "unknown g/kWh" if intensity is None else f"{intensity:.0f} g/kWh"
+
+
+def _off(memory: Memory) -> str:
+    mode_off = memory.overrides.mode is Mode.OFF
+    return "Off because you switched it off" + (
+        ": set the mode to smart to charge again." if mode_off else " at the plug, until the next plug-in."
+    )
+
+
+def _asked(memory: Memory, household: Household) -> str:
+    if memory.press is None:
+        return f"Charging now because you asked, up to {_percent(household.car.soc_max)} or until you say otherwise."
+    until = f"until {_clock(memory.press.until, household)} or " if memory.press.until else ""
+    return f"Charging now because you switched it on at the plug, {until}until you say otherwise."
+
+
+def _guarded(action: Action, household: Household) -> str:
+    session = action.session
+    end = _clock(session.end, household) if session else "the morning"
+    minimum = _percent(session.minimum) if session else "the minimum"
+    if action.verdict.late:
+        return f"Late: it is past {end} and the car has not reached {minimum} yet; charging until it has."
+    return f"Charging now: this is the last safe start for {minimum} by {end}."
+
+
+def _held(action: Action, memory: Memory, household: Household) -> str:
+    """Why something other than the plan has the word."""
+    match action.cause:
+        case Cause.PERSON_OFF:
+            return _off(memory)
+        case Cause.GUARD:
+            return _guarded(action, household)
+        case Cause.RESERVE:
+            return f"Charging now: the battery may be below the reserve of {_percent(household.car.soc_min)}."
+        case Cause.PERSON_ON:
+            return _asked(memory, household)
+        case _:
+            return "The car is not plugged in."
+
+
+def _shortfall(tonight: SessionPlan | None, household: Household) -> str:
+    """What will be missing in the morning, in the household's words."""
+    short = 0.0 if tonight is None else tonight.shortfall_kwh / household.car.capacity_kwh
+    if tonight is None or short < SHORT:
+        return ""
+    end = _clock(tonight.session.end, household)
+    return f" {end}: {_percent(tonight.soc_end)}, {_percent(short)} short of {_percent(tonight.session.minimum)}."
+
+
+def _starts(now: datetime, tonight: SessionPlan, memory: Memory) -> datetime | None:
+    """When power is to flow next, by the relay's orders or else by the plan itself."""
+    if isinstance(memory.orders, Switching):
+        return memory.orders.next(now, True)
+    return next((slot.start for slot in tonight.slots if slot.start > now and slot.power_kw > 0.0), None)
+
+
+def _planned(now: datetime, action: Action, memory: Memory, household: Household) -> tuple[Status, str]:
+    """Status and reason where the plan has the word."""
+    coming = _coming(now, memory)
+    if not coming:
+        return Status.READY, "Nothing to do: no night at home is expected."
+    tonight, later = coming[0], coming[1:]
+    short = _shortfall(tonight, household)
+    nights = f"the next {len(coming)} nights" if later else "tonight"
+    grams = _grams(tonight.intensity_g_per_kwh)
+    if action.on:
+        stop = memory.orders.next(now, False) if isinstance(memory.orders, Switching) else None
+        until = f" until {_clock(stop, household)}" if stop else ""
+        return Status.CHARGING, f"Charging{until} at {grams}, among the cleanest hours of {nights}.{short}"
+    if tonight.energy_kwh > PLANNED_KWH:
+        start = _starts(now, tonight, memory)
+        if start is not None:
+            word = f"Waiting until {_clock(start, household)}: {grams} then, among the cleanest hours of {nights}."
+            return Status.WAITING, word + short
+    cleaner = next((s for s in later if s.energy_kwh > PLANNED_KWH), None)
+    if cleaner is not None:
+        word = (
+            f"Holding for {_night(cleaner.session, household)}: {_grams(cleaner.intensity_g_per_kwh)} then, and "
+            f"{_percent(soc.cautious(memory.soc))} is enough for {_percent(tonight.session.minimum)} in the morning."
+        )
+        return Status.HOLDING, word + short
+    return Status.READY, f"Ready: at {_percent(memory.soc.mean)} nothing needs charging for {nights}.{short}"
+
+
+_STATUS = {
+    Cause.PERSON_OFF: Status.OFF,
+    Cause.GUARD: Status.CHARGING,
+    Cause.RESERVE: Status.CHARGING,
+    Cause.PERSON_ON: Status.BOOSTING,
+    Cause.ABSENT: Status.DISCONNECTED,
+}
+
+
+def _coming(now: datetime, memory: Memory) -> tuple[SessionPlan, ...]:
+    """What the plan says of sessions that are not over."""
+    return tuple(s for s in memory.plan.sessions if s.session.end > now) if memory.plan else ()
+
+
+def _decided(
+    now: datetime, action: Action, memory: Memory, outlook: Outlook | None, household: Household
+) -> tuple[Status, str]:
+    """Status and reason with a plug that does as it is told."""
+    if action.cause is not Cause.PLAN:
+        short = ""
+        if action.on and not action.verdict.late:
+            short = _shortfall(next(iter(_coming(now, memory)), None), household)
+        return _STATUS[action.cause], _held(action, memory, household) + short
+    status, reason = _planned(now, action, memory, household)
+    if outlook is not None and outlook.forecast_until is None:
+        reason += " There is no forecast at the moment: this plan uses the usual day."
+        if status is Status.HOLDING:
+            status = Status.WAITING_FOR_FORECAST
+    return status, reason
+
+
+def explain(
+    now: datetime,
+    action: Action,
+    memory: Memory,
+    outlook: Outlook | None,
+    household: Household,
+    faults: tuple[Fault, ...] = (),
+) -> tuple[Status, str]:
+    """The status and the sentence. They follow from the decision; nothing is decided here."""
+    status, reason = _decided(now, action, memory, outlook, household)
+    broken = next((fault.text for fault in faults if fault.code in UNCONTROLLED), None)
+    if broken is None:
+        return status, reason
+    return Status.FAULT, f"The plug is not under control: {broken}. Wanted: {reason}"
