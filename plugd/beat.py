@@ -54,6 +54,12 @@ def is_on(wanted: Wanted) -> bool:
     return wanted.on if isinstance(wanted, Relay) else wanted.power_kw > 0.0
 
 
+def cautious_soc(moment: datetime, memory: Memory, household: Household) -> float:
+    """The SOC that promises are made on, as it will be at a moment: what is driven until then taken off."""
+    coming = sessions.drives(household, memory.overrides, memory.presence, memory.soc.driven_to, moment)
+    return soc.cautious(soc.driven(memory.soc, coming, household.car))
+
+
 def next_plug_in(now: datetime, memory: Memory, household: Household) -> datetime | None:
     """When the next stay is expected to begin. None where no night at home is."""
     stays = sessions.windows(household, memory.overrides, now)
@@ -83,10 +89,7 @@ def _missing(now: datetime, session: Session | None, memory: Memory, household: 
         return None
     if memory.presence.connected is False and now >= session.end:
         return None  # told to be gone, and its morning is over: nothing is left to save
-    energy_kwh = (session.minimum - soc.cautious(memory.soc)) * household.car.capacity_kwh
-    energy_kwh += sessions.use_before_kwh(
-        session.start, now, memory.soc.driven_to, household, memory.overrides, memory.presence
-    )
+    energy_kwh = (session.minimum - cautious_soc(session.start, memory, household)) * household.car.capacity_kwh
     return Need(session.end, energy_kwh if energy_kwh >= MET_KWH else 0.0)
 
 

@@ -83,10 +83,7 @@ class Controller:
     def _plan(self, now: datetime, coming: tuple[Session, ...], outlook: Outlook, memory: Memory) -> Plan:
         """Solve on the cautious SOC, with the power that the car was seen to take."""
         car = self.household.car
-        energy_kwh = soc.cautious(memory.soc) * car.capacity_kwh
-        energy_kwh -= sessions.use_before_kwh(
-            coming[0].start, now, memory.soc.driven_to, self.household, memory.overrides, memory.presence
-        )
+        energy_kwh = beat.cautious_soc(coming[0].start, memory, self.household) * car.capacity_kwh
         power_kw = believed_kw(memory.observed_kw, self.household.capability.power_max_kw)
         parts = nights.layout(coming, now, energy_kwh, power_kw, self.household)
         stated = nights.problem(parts, outlook, energy_kwh, memory.plan, self.household)

@@ -131,7 +131,8 @@ def load_regions(path: Path) -> dict[int | None, IntensitySeries]:
             for row in _rows(path, lines):
                 rows.setdefault(row.region, []).append(row)
     except (OSError, EOFError, zlib.error) as error:
-        raise UsageError(f"{path}: cannot be read ({error}); give a .csv or .csv.gz file") from error
+        reason = getattr(error, "strerror", None) or error
+        raise UsageError(f"{path}: cannot be read ({reason}); give a .csv or .csv.gz file") from error
     except UnicodeDecodeError as error:
         raise UsageError(f"{path}: is not UTF-8 text; give a .csv or .csv.gz file") from error
     except csv.Error as error:

@@ -194,18 +194,6 @@ def drives(
     return tuple(found)
 
 
-def use_before_kwh(
-    start: datetime, now: datetime, since: datetime, household: Household, overrides: Overrides, presence: Presence
-) -> float:
-    """The cautious quantile of what is still to be driven before a session at `start`, battery kWh.
-
-    `since` is what the SOC already includes, as for `drives`.
-    """
-    ahead = drives(household, overrides, presence, since, start)
-    days = sum(days for home_at, days in ahead if home_at > now)
-    return cautious_use_kwh(household.car, household.nights.confidence, days) if days else 0.0
-
-
 def coming_home(now: datetime, household: Household, overrides: Overrides, presence: Presence) -> Window | None:
     """The next stay, once its car may be at the plug already though nobody said so: from its early plug-in on."""
     stay = next((w for w in windows(household, overrides, now) if w.session.start > now), None)

@@ -1,0 +1,192 @@
+"""The commands. Each is thin: it reads arguments, calls one function, prints, and turns errors into exit codes."""
+
+import argparse
+import json
+import logging
+import os
+import sys
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from importlib.util import find_spec
+from pathlib import Path
+from typing import NoReturn
+
+from plugd import __version__
+from plugd.errors import AlreadyRunning, ConfigError, PlugdError, UsageError
+
+DEFAULT_CONFIG = Path("/etc/plugd/plugd.toml")
+EXIT_CODES: tuple[tuple[type[PlugdError], int], ...] = (
+    (ConfigError, 78),
+    (AlreadyRunning, 75),
+    (UsageError, 2),
+    (PlugdError, 1),
+)
+
+
+class Parser(argparse.ArgumentParser):
+    """argparse with the one line of every other error."""
+
+    def error(self, message: str) -> NoReturn:
+        """Say it on one line and end with 2."""
+        print(f"{self.prog}: {message}; {self.prog} --help tells more", file=sys.stderr)
+        raise SystemExit(2)
+
+
+def _config_path(options: argparse.Namespace) -> Path:
+    return Path(options.config or os.environ.get("PLUGD_CONFIG") or DEFAULT_CONFIG)
+
+
+def _run(options: argparse.Namespace) -> int:
+    from plugd import daemon
+    from plugd.adapters.clock import SystemClock
+    from plugd.config import load
+
+    clock = SystemClock()
+    try:
+        daemon.run(load(_config_path(options)), clock)
+    finally:
+        clock.close()
+    return 0
+
+
+def _plan(options: argparse.Namespace) -> int:
+    if options.problem is not None:
+        return _plan_problem(options)
+    from plugd.adapters.hub import planned
+    from plugd.config import load
+    from plugd.inspection import decision_now
+
+    decision = decision_now(load(_config_path(options)))
+    slots = planned(decision)
+    for fault in decision.faults:
+        print(f"plugd: {fault.text}", file=sys.stderr)
+    if options.json:
+        print(json.dumps({"reason": decision.reason, "plan": slots}))
+        return 0
+    print(decision.reason)
+    for slot in slots:
+        print(f"{slot['start']}  {slot['power_kw']:.2f} kW  {slot['intensity_g_per_kwh']:.0f} g/kWh")
+    return 0
+
+
+def _plan_problem(options: argparse.Namespace) -> int:
+    from plugd.planner.exact import Exact
+    from plugd.planner.problem import Solver
+    from plugd.problem_file import answer, read
+
+    problem, echo = read(options.problem)
+    solver: Solver
+    if options.solver == "exact":
+        solver = Exact()
+    else:
+        from plugd.planner.qp import Qp
+
+        solver = Qp()
+    began = time.perf_counter()
+    solution = solver.solve(problem)
+    document = answer(echo, solution, 1000.0 * (time.perf_counter() - began))
+    if options.json:
+        print(json.dumps(document, allow_nan=False))
+        return 0
+    for number, (end_kwh, short_kwh) in enumerate(
+        zip(solution.energy_kwh, solution.shortfall_kwh, strict=True), start=1
+    ):
+        short = f", {short_kwh:.2f} kWh short of its minimum" if short_kwh > 0.005 else ""
+        print(f"session {number}: ends at {100 * end_kwh / echo.capacity_kwh:.1f} %{short}")
+    print(f"{solution.status} by {solution.solver}: {solution.carbon_g:.1f} g, gap {solution.gap:.2g}")
+    return 0
+
+
+def _check(options: argparse.Namespace) -> int:
+    from plugd.config import load
+    from plugd.inspection import check
+
+    path = _config_path(options)
+    config = load(path)
+    print(f"ok    configuration: {path}")
+    good = True
+    for finding in check(config, click=options.click):
+        good = good and finding.ok
+        print(f"{'ok   ' if finding.ok else 'MEND '} {finding.what}: {finding.text}")
+    return 0 if good else 1
+
+
+def _plug(options: argparse.Namespace) -> int:
+    from plugd.config import load
+    from plugd.inspection import switch
+
+    print(switch(load(_config_path(options)), options.do))
+    return 0
+
+
+def _demo(arguments: Sequence[str]) -> int:
+    """Hand over to the bench, which is a program of its own."""
+    missing = [name for name in ("plugd_hil", "rich") if find_spec(name) is None]
+    if missing:
+        raise PlugdError(f"the demo needs {' and '.join(missing)}: pip install 'plugd[demo]'")
+    os.execv(sys.executable, [sys.executable, "-m", "plugd_hil.demo", *arguments])
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = Parser(
+        prog="plugd",
+        description="Charge an electric car when the grid is cleanest, over several nights at once.",
+    )
+    parser.add_argument("-c", "--config", metavar="FILE", help=f"default: $PLUGD_CONFIG, else {DEFAULT_CONFIG}")
+    parser.add_argument("-v", "--verbose", action="store_true", help="say more on stderr")
+    parser.add_argument("--version", action="version", version=f"plugd {__version__}")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+
+    def add(name: str, does: Callable[[argparse.Namespace], int], text: str) -> argparse.ArgumentParser:
+        command = commands.add_parser(name, help=text, description=text)
+        command.set_defaults(does=does)
+        return command
+
+    add("run", _run, "the daemon")
+    commands.add_parser("demo", add_help=False, help="the daemon against a stub plug, a week in a minute")
+    check = add("check", _check, "configuration, broker, plug, forecast, clock, disk: ok, or what to mend")
+    check.add_argument("--click", action="store_true", help="also switch on, look at the power, switch off")
+    plan = add("plan", _plan, "the plan now, or the plan of a problem file")
+    plan.add_argument("--json", action="store_true", help="one JSON document")
+    plan.add_argument("--problem", type=Path, metavar="FILE", help="needs no configuration")
+    plan.add_argument("--solver", choices=("osqp", "exact"), default="osqp")
+    plug = add("plug", _plug, "the plug by hand")
+    plug.add_argument("do", choices=("show", "on", "off"))
+    return parser
+
+
+def _commanded(given: Sequence[str]) -> int:
+    parser = _parser()
+    options, rest = parser.parse_known_args(given)
+    if options.command == "demo":
+        return _demo(rest)
+    if rest:
+        parser.error(f"unrecognized arguments: {' '.join(rest)}")
+    # Only the daemon's log is read by somebody; the other commands say all that matters themselves.
+    level = logging.INFO if options.command == "run" else logging.ERROR
+    logging.basicConfig(
+        level=logging.DEBUG if options.verbose else level,
+        format="%(levelname)s %(name)s: %(message)s",
+    )
+    logging.getLogger("apscheduler").setLevel(logging.WARNING)
+    code: int = options.does(options)
+    return code
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command. Returns the exit code; errors are one line on stderr."""
+    try:
+        try:
+            return _commanded(list(sys.argv[1:] if arguments is None else arguments))
+        finally:
+            sys.stdout.flush()  # here, where a closed pipe is expected, and not at the interpreter's end
+    except PlugdError as error:
+        print(f"plugd: {error}", file=sys.stderr)
+        return next(code for kind, code in EXIT_CODES if isinstance(error, kind))
+    except KeyboardInterrupt:
+        return 130
+    except BrokenPipeError:
+        with suppress(OSError):
+            sys.stdout.close()
+        return 1

@@ -1,0 +1,159 @@
+"""The daemon: builds the adapters from the configuration and steps the cycle until told to stop."""
+
+import logging
+import os
+import random
+import signal
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from types import FrameType
+
+from plugd import perception
+from plugd.adapters.hub import MqttHub, Topics
+from plugd.adapters.mqtt import Broker, MqttConnection
+from plugd.adapters.neso import Neso
+from plugd.adapters.store import SqliteStore
+from plugd.adapters.tasmota import Tasmota
+from plugd.config import Config, household
+from plugd.controller import Controller
+from plugd.cycle import Cycle
+from plugd.domain import Capability, Memory
+from plugd.errors import ConfigError, StoreError
+from plugd.planner.qp import Qp
+from plugd.ports import Clock, Plug
+
+BROKER_PATIENCE_S = 10.0
+"""How long a start waits for the broker before it goes on without."""
+
+log = logging.getLogger("plugd")
+
+
+def connect(config: Config, client: str = "") -> MqttConnection:
+    """The one MQTT connection, not yet begun. The daemon's has a last will; give another `client` a name."""
+    broker = config.broker
+    return MqttConnection(
+        Broker(
+            host=broker.host,
+            port=broker.port,
+            username=broker.username,
+            password_file=broker.password_file,
+            tls=broker.tls,
+            ca_file=broker.ca_file,
+        ),
+        name=client or f"plugd-{config.name}",
+        will=None if client else (f"{base_topic(config)}/availability", b"offline"),
+    )
+
+
+def base_topic(config: Config) -> str:
+    """Where this plugd's topics begin."""
+    return f"{config.broker.topic}/{config.name}"
+
+
+def capability_of(config: Config) -> Capability:
+    """What the configured plug can be told, without asking it."""
+    return Capability(config.plug.power_kw, dead_man=True)
+
+
+def plug_for(config: Config, connection: MqttConnection, clock: Clock) -> Plug:
+    """The plug of the configured kind. Raises ConfigError for one that is not built yet."""
+    match config.plug.kind:
+        case "tasmota":
+            return Tasmota(connection, clock, config.plug.topic or "", config.plug.power_kw, config.plug.dead_man_s)
+        case kind:
+            raise ConfigError(f'plug.kind = "{kind}": not supported yet; use "tasmota"')
+
+
+def source_for(config: Config) -> Neso:
+    """The forecast source for the configured place."""
+    home = config.home
+    return Neso(config.forecast.base_url, home.region_id, home.postcode)
+
+
+def hub_for(config: Config, connection: MqttConnection, plug: Plug) -> MqttHub:
+    """The hub's end of the connection."""
+    topics = Topics(
+        base=base_topic(config),
+        soc_topic=config.car.soc_topic,
+        soc_json_key=config.car.soc_json_key,
+    )
+    return MqttHub(connection, topics, household(config, plug.capability))
+
+
+def cycle_for(config: Config, clock: Clock, connection: MqttConnection, store: SqliteStore) -> Cycle:
+    """The cycle with its ports, and the memory of the last run."""
+    plug = plug_for(config, connection, clock)
+    remembered = _remembered(store)
+    home = household(config, plug.capability)
+    seed = f"{config.name}/{config.plug.topic}"
+    return Cycle(
+        clock=clock,
+        source=source_for(config),
+        plug=plug,
+        hub=hub_for(config, connection, plug),
+        store=store,
+        controller=Controller(home, Qp(), seed),
+        memory=remembered or perception.fresh(clock.now()),
+        spread=random.Random(seed).random,
+        forecast=store.latest_forecast(),
+    )
+
+
+def state_folder(config: Config) -> Path:
+    """Where the daemon keeps its state: systemd's folder for it, else the configured one."""
+    return Path(os.environ.get("STATE_DIRECTORY") or config.state.dir)
+
+
+def _remembered(store: SqliteStore) -> Memory | None:
+    """The last run's memory; one that cannot be read is said, and done without."""
+    try:
+        return store.load()
+    except StoreError as error:
+        log.warning("%s", error)
+        return None
+
+
+class Stop:
+    """Whether a signal has asked the daemon to end."""
+
+    def __init__(self) -> None:
+        self.asked = False
+
+
+@contextmanager
+def _signals(stop: Stop, connection: MqttConnection) -> Iterator[None]:
+    """SIGTERM and SIGINT end the loop at its next turn, at once where it waits."""
+
+    def handle(signum: int, frame: FrameType | None) -> None:
+        stop.asked = True
+        connection.wake()
+
+    before = {s: signal.signal(s, handle) for s in (signal.SIGTERM, signal.SIGINT)}
+    try:
+        yield
+    finally:
+        for signum, handler in before.items():
+            signal.signal(signum, handler)
+
+
+def run(config: Config, clock: Clock) -> None:
+    """Run until a signal. Raises ConfigError, AlreadyRunning, StoreError before anything is switched."""
+    stop = Stop()
+    with ExitStack() as left:
+        store = SqliteStore(state_folder(config))
+        left.callback(store.close)
+        connection = connect(config)
+        left.callback(connection.close)
+        left.enter_context(_signals(stop, connection))
+        cycle = cycle_for(config, clock, connection, store)
+        connection.start()
+        connection.wait_connected(BROKER_PATIENCE_S)
+        log.info("plugd runs for %s on %s:%s", config.name, config.broker.host, config.broker.port)
+        hub = cycle.hub
+        while not stop.asked:
+            clock.wait(cycle.step(), connection)
+        if isinstance(hub, MqttHub):
+            hub.close()
+            connection.flush()
+        log.info("plugd ends; the plug's own timer takes over")

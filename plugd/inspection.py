@@ -1,0 +1,205 @@
+"""What a person asks beside the daemon: does it all work, what would be planned now, switch the plug by hand."""
+
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+from plugd import daemon, perception
+from plugd.adapters.clock import SystemClock, utc_now
+from plugd.adapters.mqtt import Mailbox, MqttConnection, Retained
+from plugd.adapters.store import SqliteStore
+from plugd.config import Config, household
+from plugd.controller import Controller
+from plugd.cycle import HISTORY
+from plugd.domain import Decision, Fault, Forecast, Intensity, Observation, Reading, Relay
+from plugd.errors import ForecastError, PlugdError, PlugRefused, PlugTimeout, StoreError
+from plugd.planner.qp import Qp
+from plugd.ports import Clock, Plug
+from plugd.units import slot_start, to_w
+
+SETTLE = timedelta(seconds=6)
+"""A plug tells its power 2 to 5 s after it was switched on."""
+OLDEST = datetime(2026, 1, 1, tzinfo=UTC)
+"""A clock before it was never set."""
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One line of `plugd check`."""
+
+    what: str
+    ok: bool
+    text: str
+
+
+@contextmanager
+def _connected(config: Config) -> Iterator[tuple[MqttConnection, Plug, Clock, Mailbox]]:
+    """A connection of its own beside the daemon's, the plug over it, and the daemon's availability.
+
+    Raises PlugTimeout without a broker.
+    """
+    clock = SystemClock()
+    connection = daemon.connect(config, client=f"plugd-{config.name}-{os.getpid()}")
+    plug = daemon.plug_for(config, connection, clock)
+    others = connection.subscribe((f"{daemon.base_topic(config)}/availability", Retained.REPLAYED))
+    connection.start()
+    try:
+        if not connection.wait_connected(daemon.BROKER_PATIENCE_S):
+            raise PlugTimeout(f"{connection.refusal or 'no answer'}; is it running, and is [broker] right?")
+        connection.flush()
+        yield connection, plug, clock, others
+    finally:
+        connection.close()
+        clock.close()
+
+
+def _daemon_runs(others: Mailbox) -> bool:
+    """Whether a daemon of this name says that it is there."""
+    return any(message.payload == b"online" for message in others.take()[-1:])
+
+
+def _told(reading: Reading) -> str:
+    power = "power unknown" if reading.power_kw is None else f"{to_w(reading.power_kw):.0f} W"
+    total = "" if reading.energy_kwh is None else f", {reading.energy_kwh:.3f} kWh in total"
+    return f"{'on' if reading.on else 'off'}, {power}{total}"
+
+
+def switch(config: Config, do: str) -> str:
+    """Show or switch the plug by hand, and say how it is then. Raises PlugError."""
+    with _connected(config) as (connection, plug, clock, others):
+        if do == "show":
+            return _told(plug.read())
+        running = _daemon_runs(others)
+        plug.set(Relay(do == "on", held=do == "off"))
+        told = _told(_settled(plug, clock, connection))
+        if running:
+            return f"{told}; the running plugd takes this as a press of the plug's button"
+        return f"{told}; it stays so until somebody switches it, or plugd starts"
+
+
+def _settled(plug: Plug, clock: Clock, connection: MqttConnection) -> Reading:
+    """A reading that tells the power, which takes a while after switching on; the last one where none comes."""
+    until = clock.now() + SETTLE
+    reading = plug.read()
+    while reading.on and not reading.power_kw and clock.now() < until:
+        clock.wait(until, connection)
+        reading = plug.read()
+    return reading
+
+
+def decision_now(config: Config) -> Decision:
+    """What would be decided now, on what the daemon knows. Nothing is switched or saved."""
+    now = utc_now()
+    home = household(config, daemon.capability_of(config))
+    memory = perception.fresh(now)
+    forecast: Forecast | None = None
+    history: tuple[Intensity, ...] = ()
+    folder = _readable(daemon.state_folder(config))
+    if folder is not None:
+        with SqliteStore(folder, hold=False) as store:
+            memory = store.load() or memory
+            forecast = store.latest_forecast()
+            history = store.history(now - HISTORY)
+    faults: tuple[Fault, ...] = ()
+    if forecast is None or slot_start(forecast.issued_at) != slot_start(now):
+        try:
+            forecast = daemon.source_for(config).fetch(now)
+        except ForecastError as error:
+            faults = (Fault("forecast", f"no new forecast: {error}"),)
+    seen = Observation(forecast=forecast, history=history, faults=faults)
+    return Controller(home, Qp()).tick(now, seen, memory)
+
+
+def _readable(folder: Path) -> Path | None:
+    """The folder, None where there is none yet. Raises StoreError for one that this user may not look into."""
+    if not os.access(folder, os.F_OK):
+        return None
+    if not folder.is_dir() or not os.access(folder, os.R_OK | os.X_OK):
+        raise StoreError(f"{folder}: this user may not look into it, or it is no folder; run as plugd's user, or sudo")
+    return folder
+
+
+# -- plugd check ----------------------------------------------------------------------------------
+
+
+def _forecast(config: Config, click: bool) -> str:
+    forecast = daemon.source_for(config).fetch(utc_now())
+    dropped = f"; left out: {', '.join(forecast.dropped)}" if forecast.dropped else ""
+    until = forecast.expected[-1].start + timedelta(minutes=30)
+    return f"{len(forecast.expected)} half hours, to {until:%a %H:%M} UTC{dropped}"
+
+
+def _broker(config: Config, click: bool) -> str:
+    with _connected(config):
+        return f"{config.broker.host}:{config.broker.port} lets us in"
+
+
+def _plug(config: Config, click: bool) -> str:
+    with _connected(config) as (connection, plug, clock, others):
+        told = _told(plug.read())
+        if click:
+            told = _clicked(plug, clock, connection, _daemon_runs(others))
+        cover = "" if plug.capability.dead_man else "; no timer of its own: it stays off if plugd dies"
+        return told + cover + "".join(f"; {w.text}" for w in plug.warnings)
+
+
+def _clicked(plug: Plug, clock: Clock, connection: MqttConnection, daemon_runs: bool) -> str:
+    """On, a look at the power, and back to how it was. Raises PlugRefused beside a running daemon."""
+    if daemon_runs:
+        raise PlugRefused("not clicked: the running plugd would take it for a press of the button; stop it first")
+    before = plug.read().on
+    plug.set(Relay(True))
+    clicked = _settled(plug, clock, connection)
+    plug.set(Relay(before))
+    car = "" if clicked.power_kw else " (nothing flows: is the car plugged in, and not full?)"
+    return f"clicked on: {_told(clicked)}{car}; {'on' if before else 'off'} again"
+
+
+def _clock(config: Config, click: bool) -> str:
+    now = utc_now()
+    if now < OLDEST:
+        raise PlugdError(f"it says {now:%Y-%m-%d %H:%M} UTC; set it, or let it be set: timedatectl set-ntp true")
+    return f"{now:%Y-%m-%d %H:%M} UTC"
+
+
+def _disk(config: Config, click: bool) -> str:
+    folder = daemon.state_folder(config)
+    if _readable(folder) is not None:
+        with SqliteStore(folder, hold=False) as store:
+            store.load()
+        return f"{folder} can be read"
+    parent = next((p for p in folder.parents if p.is_dir()), folder)
+    if not os.access(parent, os.W_OK):
+        raise PlugdError(f"{folder} is not there and cannot be made; mkdir it for plugd's user, or set state.dir")
+    return f"{folder} will be made at the first start"
+
+
+CHECKS: tuple[tuple[str, Callable[[Config, bool], str]], ...] = (
+    ("broker", _broker),
+    ("plug", _plug),
+    ("forecast", _forecast),
+    ("clock", _clock),
+    ("disk", _disk),
+)
+
+NEEDS = {"plug": "broker"}
+"""What cannot be looked at without another."""
+
+
+def check(config: Config, click: bool = False) -> Iterator[Finding]:
+    """One finding after the other; none of them stops the next, but a plug is not looked for without a broker."""
+    ok: dict[str, bool] = {}
+    for what, look in CHECKS:
+        try:
+            if not ok.get(NEEDS.get(what, ""), True):
+                raise PlugdError(f"cannot be asked without the {NEEDS[what]}; mend that first")
+            text = look(config, click)
+        except PlugdError as error:
+            text = str(error)
+            ok[what] = False
+        else:
+            ok[what] = True
+        yield Finding(what, ok[what], text)
