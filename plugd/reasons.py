@@ -55,15 +55,23 @@ def _guarded(action: Action, household: Household) -> str:
     return f"Charging now: this is the last safe start for {minimum} by {end}."
 
 
+def _doubt(memory: Memory) -> str:
+    """Why it charges though the car may be full: nobody has ever said how full it is."""
+    if memory.soc.told_at is not None or memory.soc.source != soc.ASSUMED:
+        return ""
+    return " Nobody has said yet how full the battery is, so little is counted on."
+
+
 def _held(action: Action, memory: Memory, household: Household) -> str:
     """Why something other than the plan has the word."""
     match action.cause:
         case Cause.PERSON_OFF:
             return _off(memory)
         case Cause.GUARD:
-            return _guarded(action, household)
+            return _guarded(action, household) + _doubt(memory)
         case Cause.RESERVE:
-            return f"Charging now: the battery may be below the reserve of {_percent(household.car.soc_min)}."
+            reserve = _percent(household.car.soc_min)
+            return f"Charging now: the battery may be below the reserve of {reserve}." + _doubt(memory)
         case Cause.PERSON_ON:
             return _asked(memory, household)
         case _:

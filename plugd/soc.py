@@ -10,6 +10,7 @@ CAUTION_SD = 2.05
 """Standard deviations below the mean that promises are made on: one night in fifty."""
 UNKNOWN_MEAN, UNKNOWN_SD = 0.5, 0.2
 """Before anybody said anything: promises count on 9 %."""
+ASSUMED = "assumed"
 TOLD_SD = 0.005
 FULL_SD = 0.02
 METER_SHARE = 0.02
@@ -23,7 +24,7 @@ RESET_KWH = 1.0
 
 def unknown(now: datetime) -> SocEstimate:
     """The estimate at the first start."""
-    return SocEstimate(mean=UNKNOWN_MEAN, sd=UNKNOWN_SD, source="assumed", told_at=None, driven_to=now)
+    return SocEstimate(mean=UNKNOWN_MEAN, sd=UNKNOWN_SD, source=ASSUMED, told_at=None, driven_to=now)
 
 
 def cautious(estimate: SocEstimate) -> float:

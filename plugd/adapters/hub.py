@@ -265,6 +265,7 @@ def state(decision: Decision, reading: Reading | None, household: Household) -> 
     zone = ZoneInfo(household.timezone)
     today = [at for at in memory.switch_ons if at.astimezone(zone).date() == now.astimezone(zone).date()]
     outlook = decision.outlook
+    doubt = memory.soc.mean - soc.cautious(memory.soc)
     return {
         "at": iso(now),
         "mode": memory.overrides.mode.value,
@@ -282,7 +283,8 @@ def state(decision: Decision, reading: Reading | None, household: Household) -> 
         "next_start": iso(start) if start else None,
         "next_stop": iso(stop) if stop else None,
         "ready_by": iso(tonight.session.end) if tonight else None,
-        "morning_soc_pct": to_pct(tonight.soc_end) if tonight else None,
+        # The plan is made on the cautious SOC; what is to be expected is as much higher as the mean is now.
+        "morning_soc_pct": to_pct(min(1.0, tonight.soc_end + doubt)) if tonight else None,
         "minimum_pct": to_pct(tonight.session.minimum) if tonight else None,
         "shortfall_kwh": round(tonight.shortfall_kwh, 3) if tonight else None,
         "saved_g_today": None,

@@ -545,3 +545,12 @@ def test_after_a_broker_restart_everything_is_told_again(line: Line, mosquitto: 
 def heard(line: Line, so: Callable[[], bool]) -> bool:
     """Whether it came to the hub's ears in time."""
     return line.theirs.bell.hold(line.heard.pending, SOON_S) and so()
+
+
+def test_the_morning_soc_is_what_is_expected_and_not_what_is_promised() -> None:
+    decision = decided(knows(0.6))
+    promised = state(decision, None, HOME)["morning_soc_pct"]
+    doubtful = replace(decision.memory, soc=replace(decision.memory.soc, sd=0.05))
+    assert state(replace(decision, memory=doubtful), None, HOME)["morning_soc_pct"] == pytest.approx(
+        promised + 10.25, abs=0.1
+    )

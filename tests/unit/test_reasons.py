@@ -5,7 +5,7 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
-from plugd import beat
+from plugd import beat, soc
 from plugd.domain import (
     Fault,
     Household,
@@ -226,3 +226,10 @@ def test_elsewhere_is_another_clock_and_weekday() -> None:
 def test_a_chargers_start_comes_from_the_plan() -> None:
     memory = replace(remembering(), orders=None)
     assert say(memory, household=CHARGER) == say(remembering())
+
+
+def test_a_soc_that_nobody_ever_told_is_said_where_it_makes_the_car_charge() -> None:
+    never = replace(meaning(soc=0.18), soc=soc.unknown(NIGHT))
+    assert say(never)[1].endswith("Nobody has said yet how full the battery is, so little is counted on.")
+    assert "Nobody" not in say(meaning(soc=0.18))[1]
+    assert "Nobody" not in say(replace(never, soc=soc.told(never.soc, 0.15, NIGHT, "hub")))[1]
