@@ -25,7 +25,7 @@ class Piece:
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """One row of the problem. The first session has two: up to the deadline, and from there to its end."""
+    """One row of the problem. The first session has two where the guard has a margin: to the deadline, and to its end."""
 
     session: Session
     pieces: tuple[Piece, ...]
@@ -49,7 +49,7 @@ def _derated(found: tuple[Piece, ...], since: datetime) -> tuple[Piece, ...]:
 
 def _tonight(
     session: Session, now: datetime, energy_kwh: float, power_kw: float, household: Household
-) -> tuple[Part, Part]:
+) -> tuple[Part, ...]:
     """The first session, with its minimum due before the guard would act (design: deadline)."""
     car = household.car
     minimum_kwh = session.minimum * car.capacity_kwh
@@ -64,10 +64,10 @@ def _tonight(
     if need_kwh > 0.0 and early:
         before, after = _derated(before, deadline - stretch), _derated(after, deadline)
     passed = now >= deadline or deadline == session.start
-    return (
-        Part(session, before, 0.0 if passed else minimum_kwh, 0.0),
-        Part(session, after, minimum_kwh, session.daily_use_kwh),
-    )
+    whole = Part(session, after or before, minimum_kwh, session.daily_use_kwh)
+    if not (before and after):  # without a margin there is one row, and the day's driving comes after it
+        return (whole,)
+    return Part(session, before, 0.0 if passed else minimum_kwh, 0.0), whole
 
 
 def layout(
@@ -77,8 +77,7 @@ def layout(
     parts: list[Part] = []
     for session in sessions:
         if not parts:
-            tonight = _tonight(session, now, energy_kwh, power_kw, household)
-            parts.extend(part for part in tonight if part.pieces)
+            parts.extend(_tonight(session, now, energy_kwh, power_kw, household))
         else:
             cut = tuple(_cut(session.start, session.end, now, power_kw))
             parts.append(Part(session, cut, session.minimum * household.car.capacity_kwh, session.daily_use_kwh))

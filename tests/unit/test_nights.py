@@ -61,6 +61,14 @@ def test_the_study_without_a_guard_plans_to_the_session_end() -> None:
     assert plan.sessions[0].soc_end >= 0.5 - 1e-9
 
 
+@pytest.mark.parametrize("margin_s", [0.0, 2400.0])
+def test_the_day_after_every_session_is_driven_whatever_the_margin(margin_s: float) -> None:
+    house = Household(guard_margin_s=margin_s, planner_slack_s=0.0)
+    coming = sessions.expected(NOON, house, Overrides(), Presence(), 3)
+    parts = nights.layout(coming, NOON, 20.0, POWER_KW, house)
+    assert sum(part.daily_use_kwh for part in parts) == sum(session.daily_use_kwh for session in coming)
+
+
 def test_elapsed_slots_stay_in_the_problem_without_power_and_out_of_the_plan() -> None:
     midnight = datetime(2023, 1, 3, 0, 10, tzinfo=UTC)
     plan, limits = planned(midnight)
