@@ -11,7 +11,7 @@ READY := $(VENV)/ready-$(VERSION)
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 export PIP_ROOT_USER_ACTION = ignore
 
-.PHONY: help demo test check bench lock clean
+.PHONY: help demo test weeks check bench lock clean
 .DELETE_ON_ERROR:
 
 help: ## what can be made
@@ -23,6 +23,9 @@ demo: $(READY) ## a week of charging, simulated, in about a minute
 
 test: $(READY) ## every test this machine can run, and a list of what it could not
 	$(VENV)/bin/python -m pytest $(ARGS)
+
+weeks: $(READY) ## the README's four weeks on measured intensity ($PLUGD_DATA), and that they hold
+	$(VENV)/bin/python tests/four_weeks.py
 
 check: $(READY) ## style, types, layers
 	$(VENV)/bin/ruff check

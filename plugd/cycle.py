@@ -75,6 +75,8 @@ class Cycle:
     faults: dict[tuple[str, str], Fault] = field(default_factory=dict)
     """By code, and by what failed where that has several ways to."""
     decision: Decision | None = None
+    shown: Decision | None = None
+    """The decision as it was last published."""
     told: Wanted | None = None
     planned_at: datetime | None = None
     fetch: Retry = field(default_factory=lambda: Retry(FETCH_RETRY_S))
@@ -86,7 +88,10 @@ class Cycle:
         reading = self._read()
         orders = tuple(self.hub.commands())
         pressed = reading is not None and reading.changed_by_other is not None
-        ticks = bool(orders) or pressed or self._tick_due(now)
+        due = self._tick_due(now)
+        if due:  # a command or a press does not wait for the network
+            self._fetch(now)
+        ticks = bool(orders) or pressed or due
         if ticks:
             self._tick(now, reading, orders)
         elif self.decision is None:
@@ -159,7 +164,6 @@ class Cycle:
     # -- deciding ---------------------------------------------------------------------------------
 
     def _tick(self, now: datetime, reading: Reading | None, orders: tuple[Command, ...]) -> None:
-        self._fetch(now)
         self.decision = self.controller.tick(now, self._seen(reading, orders, self._history(now)), self.memory)
         self.memory = self.decision.memory
         self.planned_at = now
@@ -237,6 +241,7 @@ class Cycle:
             return
         seen = self._seen(reading)
         fresh = self.controller.describe(now, seen, self.memory, self.decision.outlook)
+        self.shown = replace(fresh, answers=self.decision.answers if self.planned_at == now else ())
         self.hub.publish(fresh, reading)
 
     def _save(self) -> None:

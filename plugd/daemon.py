@@ -18,7 +18,7 @@ from plugd.adapters.tasmota import Tasmota
 from plugd.config import Config, household
 from plugd.controller import Controller
 from plugd.cycle import Cycle
-from plugd.domain import Capability, Memory
+from plugd.domain import Capability, Decision, Forecast, Memory
 from plugd.errors import ConfigError, StoreError
 from plugd.planner.qp import Qp
 from plugd.ports import Clock, Plug
@@ -96,7 +96,7 @@ def cycle_for(config: Config, clock: Clock, connection: MqttConnection, store: S
         controller=Controller(home, Qp(), seed),
         memory=remembered or perception.fresh(clock.now()),
         spread=random.Random(seed).random,
-        forecast=store.latest_forecast(),
+        forecast=kept_forecast(store, config),
     )
 
 
@@ -112,6 +112,39 @@ def _remembered(store: SqliteStore) -> Memory | None:
     except StoreError as error:
         log.warning("%s", error)
         return None
+
+
+def kept_forecast(store: SqliteStore, config: Config) -> Forecast | None:
+    """The last one kept, if it can be read and is for the configured place."""
+    try:
+        forecast = store.latest_forecast()
+    except StoreError as error:
+        log.warning("%s", error)
+        return None
+    return forecast if forecast is not None and forecast.region == source_for(config).region else None
+
+
+class Journal:
+    """Says in the log what has changed since the last step: why, what fails, what works again."""
+
+    def __init__(self) -> None:
+        self._reason = ""
+        self._faults: dict[str, str] = {}
+
+    def note(self, decision: Decision | None) -> None:
+        """Compare and say."""
+        if decision is None:
+            return
+        faults = {fault.code: fault.text for fault in decision.faults}
+        for code in faults.keys() - self._faults.keys():
+            log.warning("%s: %s", code, faults[code])
+        for code in self._faults.keys() - faults.keys():
+            log.info("%s: works again", code)
+        for answer in decision.answers:
+            log.info("command %s: %s", answer.command, answer.message)
+        if decision.reason != self._reason:
+            log.info("%s: %s", decision.status.value, decision.reason)
+        self._faults, self._reason = faults, decision.reason
 
 
 class Stop:
@@ -143,6 +176,8 @@ def run(config: Config, clock: Clock) -> None:
     with ExitStack() as left:
         store = SqliteStore(state_folder(config))
         left.callback(store.close)
+        for notice in store.notices:
+            log.warning("%s", notice)
         connection = connect(config)
         left.callback(connection.close)
         left.enter_context(_signals(stop, connection))
@@ -151,8 +186,11 @@ def run(config: Config, clock: Clock) -> None:
         connection.wait_connected(BROKER_PATIENCE_S)
         log.info("plugd runs for %s on %s:%s", config.name, config.broker.host, config.broker.port)
         hub = cycle.hub
+        journal = Journal()
         while not stop.asked:
-            clock.wait(cycle.step(), connection)
+            due = cycle.step()
+            journal.note(cycle.shown)
+            clock.wait(due, connection)
         if isinstance(hub, MqttHub):
             hub.close()
             connection.flush()

@@ -458,7 +458,6 @@ class Memory:
     guard_count: int = 0
     observed_kw: float | None = None
     """Power the car really takes, smoothed."""
-    saved_g: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,9 +6,7 @@ PlugdError
 ├── AlreadyRunning       another daemon holds the state folder: exit 75
 ├── ForecastError        ForecastUnavailable | ForecastMalformed
 ├── PlugError            PlugTimeout | PlugRefused | PlugFault
-├── HubError
-├── StoreError
-└── SolveError           the solver's answer cannot be used
+└── StoreError
 """
 
 
@@ -56,13 +54,5 @@ class PlugFault(PlugError):
     """The plug reports a fault of its own."""
 
 
-class HubError(PlugdError):
-    """The hub's broker cannot be reached or refuses us."""
-
-
 class StoreError(PlugdError):
     """State cannot be read or written."""
-
-
-class SolveError(PlugdError):
-    """A solver gave no usable plan."""

@@ -101,7 +101,7 @@ def decision_now(config: Config) -> Decision:
     if folder is not None:
         with SqliteStore(folder, hold=False) as store:
             memory = store.load() or memory
-            forecast = store.latest_forecast()
+            forecast = daemon.kept_forecast(store, config)
             history = store.history(now - HISTORY)
     faults: tuple[Fault, ...] = ()
     if forecast is None or slot_start(forecast.issued_at) != slot_start(now):

@@ -106,6 +106,8 @@ def _planned(now: datetime, action: Action, memory: Memory, household: Household
     if action.on:
         stop = memory.orders.next(now, False) if isinstance(memory.orders, Switching) else None
         until = f" until {_clock(stop, household)}" if stop else ""
+        if tonight.energy_kwh <= PLANNED_KWH:
+            return Status.CHARGING, f"On{until}: nothing more is planned, but a relay stays on a while."
         return Status.CHARGING, f"Charging{until} at {grams}, among the cleanest hours of {nights}.{short}"
     if tonight.energy_kwh > PLANNED_KWH:
         start = _starts(now, tonight, memory)

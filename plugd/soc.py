@@ -92,7 +92,7 @@ def _noticed_full(estimate: SocEstimate, reading: Reading, car: Car) -> SocEstim
     if reading.power_kw >= FLOWING_KW:
         return replace(estimate, peak_kw=max(estimate.peak_kw, reading.power_kw), last_kw=reading.power_kw)
     if estimate.peak_kw > FLOWING_KW and estimate.last_kw < TAPERED_SHARE * estimate.peak_kw:
-        # The car's own limit is not known; that its owner set it no lower than soc_max is the cautious reading.
+        # Power that tapers is a nearly full battery; a car at a limit of its own stops without.
         full = max(car.soc_max, estimate.mean)
         return replace(estimate, mean=full, sd=FULL_SD, source="full", peak_kw=0.0, last_kw=0.0)
     return estimate

@@ -65,16 +65,6 @@ def to_w(power_kw: float) -> float:
     return round(power_kw * 1000.0, 1)
 
 
-def from_wh(energy_wh: float) -> float:
-    """Watt-hours to kWh."""
-    return energy_wh / 1000.0
-
-
-def kg(grams: float) -> float:
-    """Grams to kilograms."""
-    return grams / 1000.0
-
-
 def within(low: float, value: float, high: float) -> float:
     """`value`, held between `low` and `high`."""
     return min(max(value, low), high)

@@ -5,6 +5,7 @@
 
 import os
 import shutil
+import signal
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -53,6 +54,8 @@ LEFT_OUT = pytest.StashKey[Counter[str]]()
 
 def pytest_configure(config: pytest.Config) -> None:
     """Ends the run at once where a component that was promised is unknown or missing."""
+    # A shell that runs us in the background has our children ignore Ctrl-C, which some tests send.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     missing = {name for name, component in COMPONENTS.items() if component.find() is None}
     config.stash[LEFT_OUT] = Counter(dict.fromkeys(sorted(missing), 0))
     for name in filter(None, (n.strip() for n in os.environ.get("PLUGD_REQUIRE", "").split(","))):

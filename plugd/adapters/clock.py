@@ -2,10 +2,12 @@
 
 import threading
 import time
+from contextlib import suppress
 from datetime import UTC, datetime, timedelta
 
 from apscheduler.events import EVENT_JOB_ERROR, JobExecutionEvent
 from apscheduler.executors.pool import ThreadPoolExecutor
+from apscheduler.jobstores.base import JobLookupError
 from apscheduler.schedulers.background import BackgroundScheduler
 from apscheduler.triggers.cron import CronTrigger
 from apscheduler.triggers.date import DateTrigger
@@ -89,6 +91,9 @@ class SystemClock:
 
     def close(self) -> None:
         """Stop ringing."""
+        self._scheduler.pause()  # a one-shot alarm that rings now would look for itself in a stopped scheduler
+        with suppress(JobLookupError):
+            self._scheduler.remove_job("due")
         self._scheduler.shutdown(wait=False)
 
     def _ring(self) -> None:

@@ -61,6 +61,11 @@ class Neso:
         else:
             self._region, self._question = NATIONAL, "/intensity/{}/fw48h"
 
+    @property
+    def region(self) -> str:
+        """What its forecasts call their region."""
+        return self._region
+
     def fetch(self, now: datetime) -> Forecast:
         """The forecast from the half hour under way on. Raises ForecastUnavailable, ForecastMalformed."""
         begin = slot_start(now).strftime("%Y-%m-%dT%H:%MZ")

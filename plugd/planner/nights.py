@@ -25,7 +25,7 @@ class Piece:
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """One row of the problem. The first session has two where the guard has a margin: to the deadline, and to its end."""
+    """One row of the problem. The first session has two where the guard has a margin: to its deadline, to its end."""
 
     session: Session
     pieces: tuple[Piece, ...]

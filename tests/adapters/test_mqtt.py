@@ -77,12 +77,10 @@ def test_messages_come_in_order_and_a_flush_brings_them_all(connect: Connect) ->
 
 def test_a_message_takes_no_forty_milliseconds(connect: Connect) -> None:
     connection = connect("ours")
-    connection.flush()
-    start = time.perf_counter()
-    for _ in range(50):
-        connection.publish("room/1", b"x")
-        connection.flush()
-    assert time.perf_counter() - start < 1.0
+    assert connection._client is not None
+    line = connection._client.socket()
+    assert isinstance(line, socket.socket)
+    assert line.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY) != 0
 
 
 def test_nothing_is_queued_while_the_broker_is_away(connect: Connect, mosquitto: Mosquitto) -> None:
@@ -96,9 +94,10 @@ def test_nothing_is_queued_while_the_broker_is_away(connect: Connect, mosquitto:
     ours.flush()
     mosquitto.start()
     assert ours.wait_connected(SOON_S)
-    assert other.wait_connected(SOON_S)
+    assert until(other, lambda: other.session == 2)
     assert ours.refusal is None
     assert ours.session == 2
+    other.flush()  # its subscription is taken
     assert ours.publish("cmnd/now", b"here")
     ours.flush()
     other.flush()

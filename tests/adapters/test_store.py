@@ -69,7 +69,6 @@ FULL = Memory(
     switch_ons=(T0, T0 + HALF_HOUR),
     guarding=True,
     observed_kw=2.21,
-    saved_g=1234.5,
 )
 
 
@@ -119,7 +118,7 @@ memories = st.builds(
     orders=st.none() | switchings | st.builds(Setpoint, st.floats(0, 22), moments),
     relay_on=st.none() | st.booleans(),
     switch_ons=st.lists(moments, max_size=3).map(tuple),
-    saved_g=numbers,
+    observed_kw=numbers,
 )
 
 
@@ -137,7 +136,7 @@ def test_an_unchanged_memory_writes_nothing(tmp_path: Path) -> None:
         before = (tmp_path / "plugd.db-wal").stat().st_size
         store.save(replace(FULL))
         assert (tmp_path / "plugd.db-wal").stat().st_size == before
-        store.save(replace(FULL, saved_g=0.0))
+        store.save(replace(FULL, observed_kw=0.0))
         assert (tmp_path / "plugd.db-wal").stat().st_size > before
 
 
@@ -145,7 +144,7 @@ def test_a_memory_that_could_not_be_read_again_is_refused_and_the_last_one_stays
     with SqliteStore(tmp_path) as store:
         store.save(FULL)
         with pytest.raises(StoreError, match="cannot be saved"):
-            store.save(replace(FULL, saved_g=float("nan")))
+            store.save(replace(FULL, observed_kw=float("nan")))
         assert store.load() == FULL
 
 
@@ -261,7 +260,7 @@ def test_thirty_days_fit_their_share_of_20_mb_in_13_months(tmp_path: Path) -> No
             store.keep(forecast(now, *(float((k * k + 7919 * j * j) % 260 + 40) for j in range(96))))
             store.append(record(now))
             if k % 48 == 0:  # a page or two, always the same ones
-                store.save(replace(FULL, plan=planned(88), saved_g=float(k)))
+                store.save(replace(FULL, plan=planned(88), observed_kw=float(k)))
     assert (tmp_path / "plugd.db").stat().st_size < 16e6 * days / 396  # 4 MB are the write-ahead log's
 
 

@@ -349,9 +349,13 @@ def test_a_demo_that_is_told_to_end_leaves_nothing(tmp_path: Path, told: signal.
     assert run.process.stdout.readline() == "under way\n"
     assert len(run.left()) >= 5
     run.process.send_signal(told)
-    ended, _, err = run.ends()
+    try:
+        ended, _, err = run.ends()
+        assert run.left() == []
+    finally:
+        for pid, _ in marked(run.mark):
+            os.kill(pid, signal.SIGKILL)
     assert (ended, err) == (status, "")
-    assert run.left() == []
     assert run.written() == []
 
 

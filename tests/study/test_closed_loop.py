@@ -3,10 +3,11 @@
 from collections.abc import Iterator
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
-from itertools import pairwise
+from itertools import accumulate, pairwise
+from math import sqrt
 
 import pytest
-from hypothesis import Phase, given, settings
+from hypothesis import Phase, assume, given, settings
 from hypothesis import strategies as st
 
 from plugd.domain import Capability, Household, Nights, RelayRules
@@ -65,8 +66,12 @@ def test_every_reachable_morning_is_met_for_any_forecast(
 ) -> None:
     """A forecast that is anything at all, changes with every issue, and leaves out what it likes."""
 
+    # Where nobody tells the SOC, the promise covers what is driven on all but one day in fifty.
+    driven_kwh = accumulate(use_kwh for _, _, use_kwh in stays)
+    assume(tells or all(kwh <= 5.8 * d + 2.05 * 2.67 * sqrt(d) for d, kwh in enumerate(driven_kwh, 1)))
+
     def anything(issued: datetime, slot: datetime) -> float | None:
-        return values[hash((issued, slot)) % len(values)]
+        return values[int(issued.timestamp() * 31 + slot.timestamp()) // 1800 % len(values)]
 
     household = Household(
         nights=Nights(horizon=horizon, minimum=minimum),

@@ -1,5 +1,6 @@
 """The real clock: when a wait ends, in whose time, and what becomes of a broken scheduler."""
 
+import logging
 import threading
 import time
 from collections.abc import Iterator
@@ -162,3 +163,13 @@ def test_after_the_end_no_thread_is_left() -> None:
     clock.close()
     worker.join(SOON_S)
     assert threading.active_count() <= before + 1  # the idle worker of the pool ends with the process
+
+
+def test_closing_while_an_alarm_rings_is_quiet(caplog: pytest.LogCaptureFixture) -> None:
+    for early_s in (0.0, 0.0005, 0.001, 0.0015, 0.002) * 40:
+        clock = SystemClock()
+        woken = Bell()
+        woken.wake()
+        clock.wait(clock.now() + timedelta(seconds=0.001 + early_s), woken)
+        clock.close()
+    assert [record.message for record in caplog.records if record.levelno >= logging.ERROR] == []

@@ -123,6 +123,16 @@ def test_a_forecast_is_fetched_once_a_half_hour_and_kept() -> None:
     assert EVENING in house.disk.ram.seen
 
 
+def test_a_command_does_not_wait_for_the_network() -> None:
+    house = room(PLENTY)
+    house.source.error = ForecastUnavailable("HTTP 500")
+    house.step(NIGHT)
+    house.hub.said.append(SetMode(Mode.NOW))
+    house.step(NIGHT + minutes(0.5))
+    assert house.source.asked == [NIGHT]
+    assert house.plug.on
+
+
 @pytest.mark.parametrize("error", [ForecastUnavailable("HTTP 500"), ForecastMalformed("no rows")])
 def test_a_source_that_fails_is_tried_again_later_and_later(error: ForecastUnavailable | ForecastMalformed) -> None:
     house = room(PLENTY)

@@ -313,7 +313,7 @@ def test_make_says_what_to_install(tmp_path: Path, case: str) -> None:
 def test_make_alone_lists_what_can_be_made() -> None:
     result = run("make")
     assert result.returncode == 0
-    for target in ("demo", "test", "check", "bench", "lock", "clean"):
+    for target in ("demo", "test", "weeks", "check", "bench", "lock", "clean"):
         assert f"make {target}" in result.stdout
 
 
@@ -336,6 +336,7 @@ def test_ci_fails_with_what_it_runs(tmp_path: Path) -> None:
 
     good = ci("")
     assert good.returncode == 0
-    assert "test needs mosquitto,data\ncheck needs mosquitto,data" in good.stdout
+    assert "test needs mosquitto,data\ncheck needs mosquitto,data\nweeks needs mosquitto,data" in good.stdout
     assert ci("test").returncode != 0
+    assert ci("weeks").returncode != 0
     assert ci("check").returncode != 0

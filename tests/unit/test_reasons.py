@@ -233,3 +233,14 @@ def test_a_soc_that_nobody_ever_told_is_said_where_it_makes_the_car_charge() -> 
     assert say(never)[1].endswith("Nobody has said yet how full the battery is, so little is counted on.")
     assert "Nobody" not in say(meaning(soc=0.18))[1]
     assert "Nobody" not in say(replace(never, soc=soc.told(never.soc, 0.15, NIGHT, "hub")))[1]
+
+
+def test_a_relay_that_only_serves_its_time_says_so() -> None:
+    waiting = remembering(
+        0.7, plan(IDLE, planned(TUESDAY)), switching((NIGHT - minutes(5), True), (NIGHT + minutes(10), False))
+    )
+    status, sentence = say(waiting)
+    assert (status, sentence) == (
+        Status.CHARGING,
+        "On until 23:10: nothing more is planned, but a relay stays on a while.",
+    )
