@@ -20,7 +20,7 @@ from plugd.domain import (
 )
 from plugd.guard import believed_kw
 from plugd.perception import perceive
-from plugd.planner import nights
+from plugd.planner import nights, taper
 from plugd.planner.problem import Solver
 from plugd.relay import RelayHistory, delay_s, realise
 
@@ -86,8 +86,9 @@ class Controller:
         energy_kwh = beat.cautious_soc(coming[0].start, memory, self.household) * car.capacity_kwh
         power_kw = believed_kw(memory.observed_kw, self.household.capability.power_max_kw)
         parts = nights.layout(coming, now, energy_kwh, power_kw, self.household)
-        stated = nights.problem(parts, outlook, energy_kwh, memory.plan, self.household)
-        return nights.plan(now, parts, stated, self.solver.solve(stated), self.household)
+        asked = nights.problem(parts, outlook, energy_kwh, memory.plan, self.household)
+        stated, solution = taper.solve(self.solver, asked, car)
+        return nights.plan(now, parts, stated, solution, self.household)
 
     def _orders(self, now: datetime, plan: Plan, memory: Memory) -> Orders:
         """Tonight's plan in the plug's own terms."""

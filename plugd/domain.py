@@ -74,6 +74,9 @@ class Car:
     soc_max: float = 0.8
     daily_use_kwh: float = 5.8
     daily_use_sd_kwh: float = 2.67
+    taper_from: float = 1.0
+    """From this SOC on it takes less, in a straight line down to `taper_share` of the power when full; 1: never."""
+    taper_share: float = 0.2
 
 
 @dataclass(frozen=True, slots=True)

@@ -95,6 +95,8 @@ def household(config: Config, capability: Capability) -> Household:
             efficiency=car.efficiency,
             soc_min=from_pct(car.soc_min_pct),
             soc_max=from_pct(car.soc_max_pct),
+            taper_from=from_pct(car.taper_from_pct),
+            taper_share=from_pct(car.taper_share_pct),
             daily_use_kwh=car.daily_use_kwh,
             daily_use_sd_kwh=car.daily_use_sd_kwh,
         ),

@@ -66,6 +66,8 @@ class CarSection(Section):
     efficiency: Annotated[float, Field(ge=0.3, le=1)] = 0.9
     soc_min_pct: Percent = 20.0
     soc_max_pct: Percent = 80.0
+    taper_from_pct: Percent = 100.0
+    taper_share_pct: Annotated[float, Field(ge=1, le=100)] = 20.0
     daily_use_kwh: Annotated[float, Field(ge=0, le=500)] = 5.8
     daily_use_sd_kwh: Annotated[float, Field(ge=0, le=500)] = 2.67
     soc_topic: Topic | None = None

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 from plugd.planner.answer import answer
 from plugd.planner.bounds import DUST_KWH, Chain, chain
+from plugd.planner.least_power import honoured
 from plugd.planner.problem import Problem, Solution
 
 Pool = list[tuple[float, int]]
@@ -30,7 +31,7 @@ class Exact:
 def solve(problem: Problem) -> Solution:
     """The plan of least carbon_g - end value; Ties go to the earlier slot."""
     links = chain(problem)
-    return answer(problem, links, optimum(problem, links))
+    return honoured(problem, answer(problem, links, optimum(problem, links)), optimum)
 
 
 def optimum(problem: Problem, links: Chain) -> list[float]:

@@ -105,7 +105,11 @@ def problem(
                 minimum_kwh=part.minimum_kwh,
                 ceiling_kwh=part.session.ceiling * car.capacity_kwh,
                 daily_use_kwh=part.daily_use_kwh,
-                power_min_kw=household.capability.power_min_kw,
+                # A car seen to take less than the charger's least is no reason to give it nothing.
+                power_min_kw=min(
+                    household.capability.power_min_kw,
+                    min((p.limit_kw for p in part.pieces if p.limit_kw > 0.0), default=0.0),
+                ),
             )
             for part in parts
         ),
@@ -124,8 +128,10 @@ def plan(now: datetime, parts: tuple[Part, ...], stated: Problem, solution: Solu
         parts, stated.sessions, solution.power_kw, solution.energy_kwh, solution.shortfall_kwh, strict=True
     ):
         slots = tuple(
-            PlanSlot(p.start, p.end, kw, p.limit_kw, g)
-            for p, kw, g in zip(part.pieces, power_kw, terms.intensity_g_per_kwh, strict=True)
+            PlanSlot(p.start, p.end, kw, limit_kw, g)
+            for p, kw, limit_kw, g in zip(
+                part.pieces, power_kw, terms.power_max_kw, terms.intensity_g_per_kwh, strict=True
+            )
             if p.end > now
         )
         if found and found[-1].session is part.session:

@@ -39,7 +39,7 @@ class ProblemSession:
     daily_use_kwh: float
     """Battery energy driven after this session."""
     power_min_kw: float = 0.0
-    """A charger gives 0 or at least this. Carried along: a plan may still ask less."""
+    """A charger gives 0 or at least this (see `plugd.planner.least_power`)."""
 
     def __post_init__(self) -> None:
         if not len(self.intensity_g_per_kwh) == len(self.slot_h) == len(self.power_max_kw):

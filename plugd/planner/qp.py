@@ -41,6 +41,7 @@ from plugd.planner.condensed import (
     start,
 )
 from plugd.planner.exact import optimum
+from plugd.planner.least_power import honoured
 from plugd.planner.prices import prices
 from plugd.planner.problem import Problem, Solution
 
@@ -174,6 +175,10 @@ class Qp:
 
     def solve(self, problem: Problem) -> Solution:
         """The plan of least carbon_g - end value, near `previous_power_kw` among near ties."""
+        return honoured(problem, self._relaxed(problem), optimum)
+
+    def _relaxed(self, problem: Problem) -> Solution:
+        """The plan without the charger's least power."""
         links = chain(problem)
         best_kwh = optimum(problem, links)
         rank = ranked(problem, links)

@@ -190,12 +190,6 @@ def test_elapsed_slots_stay_off_however_cheap() -> None:
     assert exact.solve(Problem(20.0, 10.0, 1.0, (own,))).power_kw == ((0.0, 8.0),)
 
 
-def test_a_charger_minimum_is_carried_but_not_yet_kept() -> None:
-    asked = one((100.0,), 24.5, 25.0)
-    charger = replace(asked.sessions[0], power_min_kw=1.4)
-    assert exact.solve(replace(asked, sessions=(charger,))).power_kw == ((1.0,),)
-
-
 def test_it_needs_no_numpy() -> None:
     program = (
         "import sys\n"
