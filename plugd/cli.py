@@ -55,23 +55,30 @@ def _plan(options: argparse.Namespace) -> int:
         return _plan_problem(options)
     from plugd.adapters.hub import planned
     from plugd.config import load
-    from plugd.inspection import decision_now
+    from plugd.explanation import document, lines
+    from plugd.inspection import decision_now, explained_now
 
-    decision = decision_now(load(_config_path(options)))
+    config = load(_config_path(options))
+    decision, why = explained_now(config) if options.explain else (decision_now(config), None)
     slots = planned(decision)
     for fault in decision.faults:
         print(f"plugd: {fault.text}", file=sys.stderr)
     if options.json:
-        print(json.dumps({"reason": decision.reason, "plan": slots}))
+        whys = {"explain": document(*why)} if why else {}
+        print(json.dumps({"reason": decision.reason, "plan": slots, **whys}))
         return 0
     print(decision.reason)
     for slot in slots:
         print(f"{slot['start']}  {slot['power_kw']:.2f} kW  {slot['intensity_g_per_kwh']:.0f} g/kWh")
+    for line in lines(*why) if why else ():
+        print(line)
     return 0
 
 
 def _plan_problem(options: argparse.Namespace) -> int:
+    from plugd import explanation
     from plugd.planner.exact import Exact
+    from plugd.planner.marginal import explain
     from plugd.planner.problem import Solver
     from plugd.problem_file import answer, read
 
@@ -86,6 +93,11 @@ def _plan_problem(options: argparse.Namespace) -> int:
     began = time.perf_counter()
     solution = solver.solve(problem)
     document = answer(echo, solution, 1000.0 * (time.perf_counter() - began))
+    why = None
+    if options.explain:
+        explained = explain(problem, solution)
+        why = explained, echo.capacity_kwh, explanation.numbered(explained)
+        document["explain"] = explanation.document(*why)
     if options.json:
         print(json.dumps(document, allow_nan=False))
         return 0
@@ -95,6 +107,8 @@ def _plan_problem(options: argparse.Namespace) -> int:
         short = f", {short_kwh:.2f} kWh short of its minimum" if short_kwh > 0.005 else ""
         print(f"session {number}: ends at {100 * end_kwh / echo.capacity_kwh:.1f} %{short}")
     print(f"{solution.status} by {solution.solver}: {solution.carbon_g:.1f} g, gap {solution.gap:.2g}")
+    for line in explanation.lines(*why) if why else ():
+        print(line)
     return 0
 
 
@@ -151,6 +165,7 @@ def _parser() -> argparse.ArgumentParser:
     plan.add_argument("--json", action="store_true", help="one JSON document")
     plan.add_argument("--problem", type=Path, metavar="FILE", help="needs no configuration")
     plan.add_argument("--solver", choices=("osqp", "exact"), default="osqp")
+    plan.add_argument("--explain", action="store_true", help="why these slots, and what each bound costs")
     plug = add("plug", _plug, "the plug by hand")
     plug.add_argument("do", choices=("show", "on", "off"))
     return parser

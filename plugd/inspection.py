@@ -16,6 +16,10 @@ from plugd.controller import Controller
 from plugd.cycle import HISTORY
 from plugd.domain import Decision, Fault, Forecast, Intensity, Observation, Reading, Relay
 from plugd.errors import ForecastError, PlugdError, PlugRefused, PlugTimeout, StoreError
+from plugd.explanation import Names, dated
+from plugd.planner.marginal import Explanation, explain
+from plugd.planner.nights import layout
+from plugd.planner.problem import Problem, Solution, Solver
 from plugd.planner.qp import Qp
 from plugd.ports import Clock, Plug
 from plugd.units import slot_start, to_w
@@ -90,7 +94,37 @@ def _settled(plug: Plug, clock: Clock, connection: MqttConnection) -> Reading:
     return reading
 
 
-def decision_now(config: Config) -> Decision:
+class Witness:
+    """A solver that keeps what it was last asked, and what it answered."""
+
+    def __init__(self, solver: Solver) -> None:
+        self._solver = solver
+        self.last: tuple[Problem, Solution] | None = None
+
+    def solve(self, problem: Problem) -> Solution:
+        """The plan of the solver behind it."""
+        solution = self._solver.solve(problem)
+        self.last = problem, solution
+        return solution
+
+
+def explained_now(config: Config) -> tuple[Decision, tuple[Explanation, float, Names] | None]:
+    """What would be decided now and why: the explanation, the battery's kWh, and what to call the slots.
+
+    None where no session is coming, and so nothing is planned.
+    """
+    witness = Witness(Qp())
+    decision = decision_now(config, witness)
+    if witness.last is None:
+        return decision, None
+    home = household(config, daemon.capability_of(config))
+    problem, solution = witness.last
+    # The times are those of any layout of these sessions at this moment, whatever the power.
+    parts = layout(decision.sessions, decision.at, problem.energy_kwh, home.capability.power_max_kw, home)
+    return decision, (explain(problem, solution), home.car.capacity_kwh, dated(parts, home.timezone))
+
+
+def decision_now(config: Config, solver: Solver | None = None) -> Decision:
     """What would be decided now, on what the daemon knows. Nothing is switched or saved."""
     now = utc_now()
     home = household(config, daemon.capability_of(config))
@@ -110,7 +144,7 @@ def decision_now(config: Config) -> Decision:
         except ForecastError as error:
             faults = (Fault("forecast", f"no new forecast: {error}"),)
     seen = Observation(forecast=forecast, history=history, faults=faults)
-    return Controller(home, Qp()).tick(now, seen, memory)
+    return Controller(home, solver or Qp()).tick(now, seen, memory)
 
 
 def _readable(folder: Path) -> Path | None:

@@ -18,6 +18,7 @@ import pytest
 from plugd import __version__
 from plugd.cli import main
 from plugd_hil.broker import Mosquitto, free_port
+from tests.conftest import ROOT
 from tests.programs import Listener, Program, environment
 
 SESSION = {"intensity": [200.0, 100.0, 300.0, 50.0], "morning_minimum_pct": 50.0, "daily_use_kwh": 5.0}
@@ -176,6 +177,21 @@ def test_twenty_thousand_slots_are_planned(plugd: Shell, tmp_path: Path, solver:
 
 
 # -- usage ----------------------------------------------------------------------------------------
+
+
+def test_the_example_of_the_readme_runs_and_is_explained_as_it_says(plugd: Shell, tmp_path: Path) -> None:
+    section = (ROOT / "README.md").read_text().split("## Plan a problem of your own")[1].split("\n## ")[0]
+    written, shown = section.split("```json")[1].split("```")[0], section.split("```\n")[-2]
+    path = problem(tmp_path, written)
+    said = plugd("plan", "--problem", path, "--explain")
+    assert (said.status, said.err) == (0, "")
+    gap = said.out.splitlines()[2].rpartition(" ")[2]  # the last digits are the machine's
+    assert float(gap) < 1e-4
+    assert said.out.replace(f"gap {gap}", "gap 0") == shown
+    told = json.loads(plugd("plan", "--problem", path, "--explain", "--json").out)
+    assert told.keys() == ANSWER | {"explain"}
+    assert told["explain"]["sessions"][0]["dearest_used"] == {"slot": 2, "g_per_kwh": 160.0}
+    assert told["explain"]["sessions"][0]["minimum"]["less_saves_g_per_pct"] == pytest.approx(0.5 * (160 - 95))
 
 
 @pytest.mark.parametrize("command", [(), ("run",), ("check",), ("plan",), ("plug",)])
@@ -434,6 +450,19 @@ def test_the_plan_now_with_and_without_a_state_folder(plugd: Shell, bench: Bench
         assert said.status == 0
         assert len(json.loads(said.out)["plan"]) < len(found["plan"])  # 80 % is what the daemon was told
         assert daemon.process.poll() is None
+
+
+def test_the_plan_of_the_house_is_explained_in_its_own_times(plugd: Shell, bench: Bench) -> None:
+    config = bench.config()
+    plain, said = plugd("-c", config, "plan").out.splitlines(), plugd("-c", config, "plan", "--explain")
+    assert (said.status, said.err) == (0, "")
+    words = said.out.splitlines()[len(plain) :]
+    assert len([line for line in words if " to " in line and (" kWh; dearest" in line or "nothing " in line)]) >= 4
+    found = json.loads(plugd("-c", config, "plan", "--explain", "--json").out)
+    planned = {slot["start"] for slot in found["plan"] if slot["power_kw"] > 0}
+    used = [own["dearest_used"]["start"] for own in found["explain"]["sessions"] if own["dearest_used"]]
+    assert used
+    assert set(used) <= planned
 
 
 def test_a_plan_without_a_forecast_says_so(plugd: Shell, bench: Bench) -> None:
