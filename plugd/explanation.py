@@ -7,6 +7,7 @@ from zoneinfo import ZoneInfo
 
 from plugd.planner.marginal import Explanation, Margin, MarginalSlot
 from plugd.planner.nights import Part
+from plugd.units import iso
 
 SHOWN_KWH = 0.05
 """Less is not worth a word."""
@@ -138,7 +139,7 @@ _FREE = {"less_saves_g_per_pct": 0.0, "more_costs_g_per_pct": 0.0}
 def _marked(slot: MarginalSlot | None, s: int, names: Names) -> dict[str, Any] | None:
     if slot is None:
         return None
-    at = {} if names.times is None else {"start": names.times[s][slot.slot].isoformat().replace("+00:00", "Z")}
+    at = {} if names.times is None else {"start": iso(names.times[s][slot.slot])}
     return {"slot": slot.slot, **at, "g_per_kwh": slot.g_per_kwh}
 
 

@@ -18,6 +18,9 @@ from plugd.planner.exact import optimum
 from plugd.planner.prices import BINDING_KWH
 from plugd.planner.problem import Problem, Solution
 
+USED_KWH = 0.005
+"""A slot with less is not used: a hundredth of a kW over half an hour, which plans do not show either."""
+
 Bound = Literal["minimum", "reserve", "ceiling"]
 
 
@@ -47,7 +50,7 @@ class Margin:
     """At the plug."""
     dearest_used: MarginalSlot | None
     cheapest_unused: MarginalSlot | None
-    """Of the slots with room and no power at all."""
+    """Of the slots with room and no use."""
     floor: Literal["minimum", "reserve"]
     """Which of the two asks for more at the session's end."""
     floor_price: Price
@@ -103,8 +106,8 @@ def _margin(
 ) -> Margin:
     session, span = problem.sessions[s], range(links.starts[s], links.starts[s + 1])
     price = links.intensity_g_per_kwh
-    used = [i for i in span if plan_kwh[i] > DUST_KWH]
-    unused = [i for i in span if plan_kwh[i] <= DUST_KWH < links.room_kwh[i]]
+    used = [i for i in span if plan_kwh[i] > USED_KWH]
+    unused = [i for i in span if plan_kwh[i] <= USED_KWH < links.room_kwh[i]]
     dearest = max(used, key=lambda i: price[i], default=None)
     cheapest = min(unused, key=lambda i: price[i], default=None)
     last = s == len(problem.sessions) - 1

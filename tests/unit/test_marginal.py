@@ -8,7 +8,7 @@ import pytest
 
 from plugd.planner import exact
 from plugd.planner.bounds import chain, end_value_g
-from plugd.planner.marginal import Explanation, MarginalSlot, Move, Price, explain
+from plugd.planner.marginal import USED_KWH, Explanation, MarginalSlot, Move, Price, explain
 from plugd.planner.prices import prices
 from plugd.planner.problem import Problem, ProblemSession
 from plugd.planner.qp import Qp
@@ -204,7 +204,8 @@ def test_every_plan_of_either_solver_can_be_explained_and_moves_add_up() -> None
                 sum(p * h for p, h in zip(power_kw, own.slot_h, strict=True)), abs=1e-6
             )
             if margin.cheapest_unused is not None:
-                assert power_kw[margin.cheapest_unused.slot] < 1e-6
+                slot = margin.cheapest_unused.slot
+                assert asked.efficiency * power_kw[slot] * own.slot_h[slot] <= USED_KWH + 1e-9
             if margin.dearest_used is not None:
                 assert power_kw[margin.dearest_used.slot] > 0
         for move in found.moves:
