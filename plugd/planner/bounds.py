@@ -95,9 +95,9 @@ def end_value_g(problem: Problem, above_kwh: float) -> float:
     """Worth in g of `above_kwh` battery kWh above the last session end's repaired lower bound; concave."""
     value_g = 0.0
     for width_kwh, worth_g_per_kwh in problem.end_value:
-        part_kwh = min(width_kwh, above_kwh)
-        if part_kwh <= 0:
+        if above_kwh <= 0:
             break
+        part_kwh = min(width_kwh, above_kwh)
         value_g += part_kwh * worth_g_per_kwh
         above_kwh -= part_kwh
     return value_g

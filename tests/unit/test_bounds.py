@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from plugd.planner.bounds import chain, end_value_g, repair, tube
+from plugd.planner.bounds import DUST_KWH, chain, end_value_g, powers_kw, repair, tube
 from plugd.planner.problem import Problem, ProblemSession
 from tests.unit import planner_problems as make
 
@@ -81,6 +81,7 @@ def test_inside_the_tube_every_next_point_can_be_reached(rows: list[tuple[float,
     lower, upper, room = columns(rows)
     kept_lower, kept_upper = repair(lower, upper, room)
     least, most = tube(kept_lower, kept_upper, room)
+    assert len(least) == len(most) == len(rows)
     before_least = before_most = 0.0
     for s, (low, high) in enumerate(zip(least, most, strict=True)):
         assert kept_lower[s] - 1e-9 <= low <= high + 1e-9
@@ -130,3 +131,14 @@ def test_nothing_above_the_start_is_worth_nothing() -> None:
     rng = random.Random(8)
     asked = replace(make.everyday(rng), end_value=((5.0, 100.0),))
     assert [end_value_g(asked, above) for above in (-3.0, 0.0, 2.0, 9.0)] == [0.0, 0.0, 200.0, 500.0]
+
+
+def test_a_step_without_width_ends_nothing() -> None:
+    asked = replace(make.everyday(random.Random(8)), end_value=((0.0, 100.0), (5.0, 90.0)))
+    assert end_value_g(asked, 2.0) == 180.0
+
+
+def test_dust_is_no_power_and_a_slot_without_time_has_none() -> None:
+    own = ProblemSession((1.0,) * 4, (0.5, 0.5, 0.0, 0.5), (10.0,) * 4, 25.0, 40.0, 0.0)
+    asked = Problem(22.0, 10.0, 1.0, (own,))
+    assert powers_kw(asked, [DUST_KWH / 2, DUST_KWH, 1.0, 2 * DUST_KWH]) == ((0.0, 0.0, 0.0, 4 * DUST_KWH),)
