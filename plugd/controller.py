@@ -8,6 +8,7 @@ from plugd import outlook as outlooks
 from plugd.domain import (
     Decision,
     Household,
+    Intensity,
     Memory,
     Observation,
     Orders,
@@ -42,7 +43,7 @@ class Controller:
         outlook = None
         if coming:
             outlook = outlooks.extend(seen.forecast, seen.history, now, coming[-1].end)
-            plan = self._plan(now, coming, outlook, memory)
+            plan = self._plan(now, coming, outlook, seen.history, memory)
             memory = replace(memory, plan=plan, orders=self._orders(now, plan, memory))
         else:
             memory = replace(memory, plan=None, orders=None)
@@ -80,13 +81,20 @@ class Controller:
         horizon = memory.overrides.horizon or self.household.nights.horizon
         return sessions.expected(now, self.household, memory.overrides, memory.presence, horizon)
 
-    def _plan(self, now: datetime, coming: tuple[Session, ...], outlook: Outlook, memory: Memory) -> Plan:
+    def _plan(
+        self,
+        now: datetime,
+        coming: tuple[Session, ...],
+        outlook: Outlook,
+        history: tuple[Intensity, ...],
+        memory: Memory,
+    ) -> Plan:
         """Solve on the cautious SOC, with the power that the car was seen to take."""
         car = self.household.car
         energy_kwh = beat.cautious_soc(coming[0].start, memory, self.household) * car.capacity_kwh
         power_kw = believed_kw(memory.observed_kw, self.household.capability.power_max_kw)
         parts = nights.layout(coming, now, energy_kwh, power_kw, self.household)
-        asked = nights.problem(parts, outlook, energy_kwh, memory.plan, self.household)
+        asked = nights.problem(parts, outlook, energy_kwh, memory.plan, self.household, history)
         stated, solution = taper.solve(self.solver, asked, car)
         return nights.plan(now, parts, stated, solution, self.household)
 

@@ -149,6 +149,8 @@ class Household:
     """Between the guard's last safe finish and the session end: a random delay and half an hour."""
     planner_slack_s: float = 1200.0
     """How much earlier still the planner aims, so that in health the guard never fires."""
+    end_value: bool = True
+    """Whether energy left at the horizon's end counts for what it saves later."""
 
 
 # -- what was seen --------------------------------------------------------------------------------

@@ -4,14 +4,18 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 
-from plugd.domain import Household, Outlook, Plan, PlanSlot, Session, SessionPlan
+from plugd.domain import Household, Intensity, Outlook, Plan, PlanSlot, Series, Session, SessionPlan
+from plugd.planner import end_value
 from plugd.planner.problem import Problem, ProblemSession, Solution
-from plugd.units import hours, pieces, slot_start, span_h
+from plugd.sessions import DAY, cautious_use_kwh
+from plugd.units import HALF_HOUR, SLOT_H, hours, next_slot, pieces, slot_start, span_h
 
 GUARD_SHARE = 0.9
 """The guard counts on this share of the power; so does the plan in the stretch the guard could claim."""
 MET_KWH = 0.1
 """A morning minimum missed by less is met: a fifth of a point of the usual battery, below any measurement."""
+PAST_NIGHTS, ENOUGH_NIGHTS = 28, 7
+"""Nights of history that say what nights are like; with fewer than enough of them the planned ones join."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,9 +89,17 @@ def layout(
 
 
 def problem(
-    parts: tuple[Part, ...], outlook: Outlook, energy_kwh: float, previous: Plan | None, household: Household
+    parts: tuple[Part, ...],
+    outlook: Outlook,
+    energy_kwh: float,
+    previous: Plan | None,
+    household: Household,
+    history: tuple[Intensity, ...] = (),
 ) -> Problem:
-    """The solver's problem. Intensity comes from the outlook, which covers every slot."""
+    """The solver's problem. Intensity comes from the outlook, which covers every slot.
+
+    `history`: recent intensities, for what energy left at the end is worth.
+    """
     g_per_kwh = {slot.start: slot.g_per_kwh for slot in outlook.slots}
     typical = sum(g_per_kwh.values()) / max(1, len(g_per_kwh))
     before = {} if previous is None else {slot_start(s.start): s.power_kw for s in previous.slots()}
@@ -113,12 +125,48 @@ def problem(
             )
             for part in parts
         ),
+        end_value=_end_value(parts, g_per_kwh, history, household) if household.end_value else (),
         previous_power_kw=tuple(
             tuple(min(before.get(slot_start(p.start), 0.0), p.limit_kw) for p in part.pieces) for part in parts
         )
         if before
         else None,
     )
+
+
+def _end_value(
+    parts: tuple[Part, ...], outlook: dict[datetime, float], history: tuple[Intensity, ...], household: Household
+) -> end_value.Steps:
+    """The worth of energy above the last session's minimum, from nights like the recent ones."""
+    car, last = household.car, parts[-1].session
+    power_kw = max((piece.limit_kw for part in parts for piece in part.pieces), default=0.0)
+    past = {value.start: value.g_per_kwh for value in history}
+    sessions = tuple(dict.fromkeys(part.session for part in parts))  # the first one has two parts
+    tonight = sessions[0]
+    known = [_night(past, tonight.start - n * DAY, tonight.end - n * DAY) for n in range(1, PAST_NIGHTS + 1)]
+    if sum(map(bool, known)) < ENOUGH_NIGHTS:
+        known += [_night(outlook, session.start, session.end) for session in sessions]
+    found = end_value.steps(
+        tuple(filter(None, known)),
+        slot_kwh=power_kw * SLOT_H * car.efficiency,
+        use_kwh=car.daily_use_kwh,
+        room_kwh=(last.ceiling - last.minimum) * car.capacity_kwh,
+        efficiency=car.efficiency,
+    )
+    spare_kwh = cautious_use_kwh(car, household.nights.confidence) - car.daily_use_kwh
+    return end_value.beyond(found, max(0.0, spare_kwh) * (len(sessions) - 1))
+
+
+def _night(g_per_kwh: dict[datetime, float], start: datetime, end: datetime) -> Series:
+    """The whole half hours of a night; nothing where less than half of them is known."""
+    slot, slots = start if slot_start(start) == start else next_slot(start), 0
+    found = []
+    while slot + HALF_HOUR <= end:
+        slots += 1
+        if slot in g_per_kwh:
+            found.append(g_per_kwh[slot])
+        slot += HALF_HOUR
+    return tuple(found) if 2 * len(found) >= slots else ()
 
 
 def plan(now: datetime, parts: tuple[Part, ...], stated: Problem, solution: Solution, household: Household) -> Plan:

@@ -95,14 +95,14 @@ def test_what_was_seen_goes_into_the_decision() -> None:
 
 def test_promises_are_made_on_the_cautious_soc() -> None:
     one = home()
-    one = replace(one, nights=replace(one.nights, horizon=1))
+    one = replace(one, nights=replace(one.nights, horizon=1), end_value=False)  # the minimum and no more
     sure, unsure = tick(knows(0.5), one), tick(knows(0.5, sd=0.02), one)
     assert on_h(sure) == 0.0
     assert on_h(unsure) == pytest.approx(0.041 * 50 / 2.3 / 0.9, abs=0.05)
 
 
 def test_a_car_that_takes_less_is_planned_longer() -> None:
-    one = replace(HOME, nights=Nights(horizon=1))
+    one = replace(HOME, nights=Nights(horizon=1), end_value=False)
     usual, slow = tick(knows(0.45), one), tick(replace(knows(0.45), observed_kw=1.15), one)
     assert tonight_kwh(slow) == pytest.approx(tonight_kwh(usual)) == pytest.approx(2.5 / 0.9)
     assert on_h(slow) >= 2 * on_h(usual)
