@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from plugd import outlook, sessions
 from plugd.domain import Household, Intensity, Overrides, Presence
 from plugd.planner import end_value, exact, nights
-from plugd.planner.problem import Problem
+from plugd.planner.problem import Problem, ProblemSession
 
 NOON = datetime(2023, 3, 2, 12, tzinfo=UTC)
 HOUSE = Household()
@@ -38,14 +38,14 @@ def test_any_worth_is_finite_never_negative_never_rising_and_no_dearer_than_the_
     known: tuple[tuple[float, ...], ...], slot_kwh: float, use_kwh: float, room_kwh: float, efficiency: float
 ) -> None:
     found = end_value.steps(known, slot_kwh, use_kwh, room_kwh, efficiency)
-    Problem(20.0, 10.0, efficiency, exact_session(), end_value=found)  # refuses what is not finite, negative or rising
+    Problem(20.0, 10.0, efficiency, one_session(), end_value=found)  # refuses what is not finite, negative or rising
     dearest = max((g for night in known for g in night), default=0.0)
     assert all(worth <= max(0.0, dearest) / efficiency + 1e-6 for _, worth in found)
     assert sum(width for width, _ in found) == pytest.approx(room_kwh if found else 0.0)
 
 
-def exact_session() -> tuple[nights.ProblemSession, ...]:
-    return (nights.ProblemSession((100.0,), (0.5,), (10.0,), 25.0, 40.0, 5.8),)
+def one_session() -> tuple[ProblemSession, ...]:
+    return (ProblemSession((100.0,), (0.5,), (10.0,), 25.0, 40.0, 5.8),)
 
 
 @settings(max_examples=60, deadline=None)
