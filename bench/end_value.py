@@ -48,6 +48,10 @@ GROWTH = 9.97e-3
 """Of the relative error, a half hour ahead (paper III-A)."""
 SYNTHETIC_ERROR = 0.06
 START_KWH = 25.0
+FIRST_SLOT = 24
+"""The year begins at its first noon, and so does what is remembered of it."""
+SETTLED = 48 * 9
+"""Half hours of history from which on what nights are like changes once a day only."""
 CONSTANT_G_PER_KWH = 110.0
 """The best of 70, 90, 110 and 130 for N = 1 over the same year: hindsight that no house has."""
 PLUGS = {"paper": (10.0, 1.0), "demo": (2.3, 0.9)}
@@ -159,7 +163,7 @@ def past(year: Year, moment: datetime, dice: random.Random) -> tuple[Intensity, 
     last = year.index(moment)
     return tuple(
         Intensity(year.start + k * HALF_HOUR, year.forecast(k, k, dice.choice((-1, 1))))
-        for k in range(max(0, last - HISTORY // HALF_HOUR), last)
+        for k in range(max(FIRST_SLOT, last - HISTORY // HALF_HOUR), last)
     )
 
 
@@ -195,17 +199,20 @@ def night(
     year: Year, job: Job, house: Household, battery: Battery, stay: Stay, coming: tuple[Session, ...],
     account: Account, dice: random.Random,
 ) -> None:  # fmt: skip
-    """One stay. What nights are like changes once a day, so the end value is asked for once."""
+    """One stay. Once there is history, what nights are like changes once a day: the end value is asked for once."""
     estimate = soc.told(soc.unknown(stay.arrival), battery.soc, stay.arrival, "car")
-    steps: Steps | None = {"off": (), "constant": ((inf, CONSTANT_G_PER_KWH),)}.get(job.value)
+    given: Steps | None = {"off": (), "constant": ((inf, CONSTANT_G_PER_KWH),)}.get(job.value)
     begin, end = max(coming[0].start, stay.arrival), min(coming[0].end, stay.departure)
     for now, until in pieces(begin, end):
         energy_kwh = soc.cautious(estimate) * house.car.capacity_kwh
         parts = nights.layout(coming, now, energy_kwh, house.capability.power_max_kw, house)
         outlook = expectation(year, now, coming[-1].end, dice)
-        if steps is None:
+        if given is None:
             history = past(year, now, random.Random(job.seed))
             steps = nights.problem(parts, outlook, energy_kwh, None, house, history).end_value
+            given = steps if len(history) >= SETTLED else None
+        else:
+            steps = given
         stated = nights.problem(parts, outlook, energy_kwh, None, replace(house, end_value=False))
         plan = nights.plan(now, parts, stated, exact.solve(replace(stated, end_value=steps)), house)
         power_kw = next(slot.power_kw for slot in plan.slots() if slot.start <= now < slot.end)
