@@ -53,7 +53,7 @@ FIRST_SLOT = 24
 SETTLED = 48 * 9
 """Half hours of history from which on what nights are like changes once a day only."""
 CONSTANT_G_PER_KWH = 110.0
-"""The best of 70, 90, 110 and 130 for N = 1 over the same year: hindsight that no house has."""
+"""The best of 70, 90, 110 and 130 for N = 1 over the same year, in local time: hindsight that no house has."""
 PLUGS = {"paper": (10.0, 1.0), "demo": (2.3, 0.9)}
 VALUES = ("off", "constant", "ours")
 HORIZONS = (1, 2, 4, 7)
