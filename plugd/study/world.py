@@ -12,6 +12,8 @@ TAPER_STEP_H = 1.0 / 60.0
 """While the power tapers it is held for a minute at a time: under 0.1 % of energy off the smooth curve."""
 TRICKLE = 0.02
 """Share of full power at which a car stops: below it nothing flows."""
+LEAST_KW = 1e-6
+"""Less is no power, only the rounding of one."""
 
 
 @dataclass(slots=True)
@@ -40,7 +42,7 @@ class Battery:
             share = 1.0 if left > 1e-9 else 0.0
         else:
             share = within(0.0, left / (self.full - self.taper_from), 1.0)
-        return offered_kw * share if share > TRICKLE else 0.0
+        return offered_kw * share if share > TRICKLE and offered_kw > LEAST_KW else 0.0
 
     def charge(self, offered_kw: float, length_h: float) -> float:
         """Charge for `length_h` hours. Returns the energy taken at the plug, kWh."""
