@@ -6,7 +6,7 @@ from datetime import datetime, timedelta
 
 from plugd import perception, sessions
 from plugd.controller import Controller
-from plugd.cycle import HISTORY, Cycle
+from plugd.cycle import Cycle
 from plugd.domain import (
     Answer,
     Capability,
@@ -146,7 +146,7 @@ class RamStore:
     """A store that forgets when the program ends."""
 
     memory: Memory | None = None
-    seen: dict[datetime, float] = field(default_factory=dict)
+    seen: dict[datetime, Intensity] = field(default_factory=dict)
     records: list[Record] = field(default_factory=list)
 
     def load(self) -> Memory | None:
@@ -162,19 +162,19 @@ class RamStore:
         self.records.append(record)
 
     def keep(self, forecast: Forecast) -> None:
-        """Remember the nearest expectation of each half hour, as long as anybody asks for it."""
+        """Remember the nearest expectation of each half hour."""
         for row in forecast.expected[:2]:
-            self.seen[row.start] = row.g_per_kwh
-        while self.seen and next(iter(self.seen)) < forecast.issued_at - HISTORY:
-            del self.seen[next(iter(self.seen))]
+            self.seen[row.start] = row
 
     def latest_forecast(self) -> Forecast | None:
         """None: a simulation begins without one."""
         return None
 
     def history(self, since: datetime) -> tuple[Intensity, ...]:
-        """What was kept from `since` on."""
-        return tuple(Intensity(start, g) for start, g in self.seen.items() if start >= since)
+        """What was kept from `since` on. Nobody asks for anything older afterwards, so that goes."""
+        while self.seen and next(iter(self.seen)) < since:
+            del self.seen[next(iter(self.seen))]
+        return tuple(self.seen.values())
 
 
 @dataclass(frozen=True, slots=True)
