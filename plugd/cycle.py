@@ -19,6 +19,7 @@ from plugd.domain import (
     Reading,
     Record,
     Relay,
+    Setpoint,
     Wanted,
 )
 from plugd.errors import ForecastError, PlugError, StoreError
@@ -85,6 +86,7 @@ class Cycle:
     def step(self) -> datetime:
         """Look, decide and act once. Returns when to be called again at the latest."""
         now = self.clock.now()
+        was_on = self.memory.relay_on
         reading = self._read()
         orders = tuple(self.hub.commands())
         pressed = reading is not None and reading.changed_by_other is not None
@@ -101,7 +103,7 @@ class Cycle:
         action = self.controller.act(now, self._seen(None if ticks else reading), self.memory)
         changed = action.memory.guarding is not self.memory.guarding
         self.memory = action.memory
-        moved = self._apply(now, action, reading)
+        moved = self._apply(now, action, reading, was_on)
         if moved or changed:
             self._save()
         self._tend(now)
@@ -128,14 +130,16 @@ class Cycle:
         return Observation(reading, self.forecast, history, orders, tuple(faults.values()))
 
     def _tick_due(self, now: datetime) -> bool:
-        """A new half hour since the last plan, no plan, or a forecast that is to be tried again."""
+        """A new half hour since the last plan, no plan, its setpoint run out, or a forecast to be tried again."""
         if self.planned_at is None:
             plan = self.memory.plan
             if plan is None:
                 return True
             self.planned_at = plan.made_at
         new_half_hour = slot_start(now) != slot_start(self.planned_at)
-        return new_half_hour or (self.fetch.failures > 0 and self.fetch.due(now))
+        orders = self.memory.orders  # a slot may end inside a half hour: where the session begins, or is due
+        run_out = isinstance(orders, Setpoint) and now >= orders.until
+        return new_half_hour or run_out or (self.fetch.failures > 0 and self.fetch.due(now))
 
     def _fetch(self, now: datetime) -> None:
         """A newer forecast, at most one a half hour; the last good one stays until then."""
@@ -194,17 +198,20 @@ class Cycle:
 
     # -- acting -----------------------------------------------------------------------------------
 
-    def _apply(self, now: datetime, action: Action, reading: Reading | None) -> bool:
+    def _apply(self, now: datetime, action: Action, reading: Reading | None, was_on: bool | None) -> bool:
         """Tell the plug where it is not as wanted. Returns whether the relay was moved."""
         wanted = action.wanted
         same = self.told is not None and _same(self.told, wanted)
         as_wanted = reading is not None and reading.on is is_on(wanted)
         # An "on" that is already on needs no word; an "off" has to be taken once, to arm or disarm its timer.
         if as_wanted and (wanted == Relay(True) or (same and self.switch.failures == 0)):
+            obeyed = same and self.switch.failures > 0 and not was_on  # without an answer, as is seen only now
             self.told = wanted
             self.switch.succeeded()
             self._clear("plug_refuses")
-            return False
+            if obeyed:
+                self._count(now, action)
+            return obeyed
         if same and not self.switch.due(now):
             return False
         self.told = wanted
@@ -222,11 +229,14 @@ class Cycle:
         """Whether the relay has moved; if so, for the dwell times and the switch budget."""
         if self.memory.relay_on is action.on:
             return False
-        ons = self.memory.switch_ons
-        if action.on and action.cause is By.PLAN:
-            ons = (*ons, now)
-        self.memory = replace(self.memory, relay_on=action.on, relay_since=now, switch_ons=ons)
+        self.memory = replace(self.memory, relay_on=action.on, relay_since=now)
+        self._count(now, action)
         return True
+
+    def _count(self, now: datetime, action: Action) -> None:
+        """A switch-on by the plan is on its budget."""
+        if action.on and action.cause is By.PLAN:
+            self.memory = replace(self.memory, switch_ons=(*self.memory.switch_ons, now))
 
     def _tend(self, now: datetime) -> None:
         try:
