@@ -5,11 +5,13 @@ from datetime import datetime, timedelta
 
 from plugd import sessions, soc
 from plugd.beat import next_plug_in
-from plugd.domain import Household, Memory, Mode, Press, Reading
+from plugd.domain import Household, Memory, Mode, Press, Reading, Setpoint
 
 SMOOTHING = 0.2
 PLAUSIBLE_SHARE = (0.3, 1.2)
 """Of the configured power: outside it a reading says nothing about what the car takes."""
+ALL_SHARE = 0.95
+"""Of a setpoint: a car that takes this much of it is not at a limit of its own."""
 TAPER_SOC = 0.9
 """Above it a car takes less because it is nearly full, which is no sign for another night."""
 BUDGET_SPAN = timedelta(hours=24)
@@ -36,7 +38,7 @@ def perceive(now: datetime, reading: Reading | None, memory: Memory, household: 
 def _seen(now: datetime, reading: Reading, memory: Memory, household: Household) -> Memory:
     """What the plug itself tells."""
     power_kw = household.capability.power_max_kw
-    memory = replace(memory, observed_kw=_observed_kw(reading, memory, power_kw))
+    memory = replace(memory, observed_kw=_observed_kw(reading, memory, household))
     memory = replace(memory, soc=soc.metered(memory.soc, reading, household.car, power_kw))
     if reading.changed_by_other is not None:
         memory = _pressed(now, reading.changed_by_other, memory, household)
@@ -64,15 +66,20 @@ def _stay_end(now: datetime, memory: Memory, household: Household) -> datetime |
     return next((stay.late_plug_out for stay in stays if stay.late_plug_out > now), None)
 
 
-def _observed_kw(reading: Reading, memory: Memory, configured_kw: float) -> float | None:
+def _observed_kw(reading: Reading, memory: Memory, household: Household) -> float | None:
     """The power the car really takes, smoothed over readings."""
+    configured_kw = household.capability.power_max_kw
     low, high = (share * configured_kw for share in PLAUSIBLE_SHARE)
     power_kw, known_kw = reading.power_kw, memory.observed_kw
     new = reading.metered_at is not None and reading.metered_at != memory.soc.metered_at
     if not (new and reading.on and power_kw is not None and low <= power_kw <= high):
         return known_kw
-    if memory.soc.mean > TAPER_SOC:
+    if memory.soc.mean > min(TAPER_SOC, household.car.taper_from):
         return known_kw
+    offered_kw = memory.orders.power_kw if isinstance(memory.orders, Setpoint) else configured_kw
+    believed_kw = configured_kw if known_kw is None else known_kw
+    if offered_kw < configured_kw and ALL_SHARE * offered_kw <= power_kw <= believed_kw:
+        return known_kw  # it takes what it is given, and may take more
     return power_kw if known_kw is None else known_kw + SMOOTHING * (power_kw - known_kw)
 
 
