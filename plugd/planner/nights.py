@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 
 from plugd.domain import Household, Intensity, Outlook, Plan, PlanSlot, Series, Session, SessionPlan
-from plugd.planner import end_value
+from plugd.planner import end_value, taper
 from plugd.planner.problem import Problem, ProblemSession, Solution
 from plugd.sessions import DAY, cautious_use_kwh
 from plugd.units import HALF_HOUR, SLOT_H, hours, next_slot, pieces, slot_start, span_h
@@ -59,7 +59,7 @@ def _tonight(
     minimum_kwh = session.minimum * car.capacity_kwh
     if 0.0 < minimum_kwh - energy_kwh < MET_KWH:
         minimum_kwh = energy_kwh
-    need_kwh = max(0.0, minimum_kwh - energy_kwh)
+    need_kwh = max(0.0, taper.flat_kwh(car, energy_kwh, minimum_kwh))
     early = timedelta(seconds=household.guard_margin_s + household.planner_slack_s)
     deadline = max(session.end - early, session.start)
     stretch = span_h(need_kwh / (GUARD_SHARE * power_kw * car.efficiency))
