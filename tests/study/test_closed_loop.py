@@ -183,14 +183,14 @@ def test_a_restart_in_the_night_changes_nothing() -> None:
 
 def test_a_car_that_takes_less_as_it_fills_is_ready_and_the_guard_sleeps() -> None:
     """A minimum above the taper, and a forecast that is always cleanest last."""
-    car = Car(taper_from=0.6, taper_share=0.2)
-    household = Household(car=car, nights=Nights(horizon=1, minimum=0.78), capability=Capability(2.3, dead_man=True))
+    car = Car(taper_from=0.4, taper_share=0.2)
+    household = Household(car=car, nights=Nights(horizon=1, minimum=0.9), capability=Capability(7.4, dead_man=True))
     source = FunctionSource(lambda issued, slot: 300.0 - (slot.hour - 12) % 24)
-    battery = Battery(energy_kwh=36.0, taper_from=0.6, full=1.1)  # the same line: a fifth of the power at 100 %
+    battery = Battery(energy_kwh=30.0, taper_from=0.4, full=1.15)  # the same line: a fifth of the power at 100 %
     house = House(household, Exact(), source, nights_of((1, 0, 9), (1, 0, 9), (1, 0, 9)), START, battery)
     house.run(START + timedelta(days=3))
     assert [m.end.day for m in house.mornings] == [3, 4, 5]
-    assert all(m.soc >= 0.78 for m in house.mornings)
+    assert all(m.soc >= 0.9 for m in house.mornings)
     assert not [at for at in house.guarded if at > START + timedelta(days=1)]
 
 
