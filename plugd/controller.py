@@ -25,6 +25,9 @@ from plugd.planner import nights, taper
 from plugd.planner.problem import Solver
 from plugd.relay import RelayHistory, delay_s, realise
 
+LEAST_KW = 0.01
+"""A smaller difference of powers is rounding."""
+
 
 @dataclass(slots=True)
 class Controller:
@@ -102,7 +105,7 @@ class Controller:
         """Tonight's plan in the plug's own terms."""
         tonight = plan.sessions[0]
         if self.household.capability.modulating:
-            return _setpoint(now, tonight)
+            return _setpoint(now, tonight, self.household.capability.power_max_kw)
         car = self.household.car
         ceiling_kwh = (tonight.session.ceiling - tonight.soc_end) * car.capacity_kwh
         need_kwh = (tonight.session.minimum - soc.cautious(memory.soc)) * car.capacity_kwh
@@ -128,11 +131,15 @@ class Controller:
         return delay_s(block_start, seed=self.seed, most_s=self.household.relay.random_delay_s)
 
 
-def _setpoint(now: datetime, tonight: SessionPlan) -> Setpoint:
-    """The power of the slot under way, or none until the session begins."""
+def _setpoint(now: datetime, tonight: SessionPlan, most_kw: float) -> Setpoint:
+    """The power of the slot under way, or none until the session begins.
+
+    A slot planned at its limit, which caution or an earlier reading may have put too low, gets all there is.
+    """
     for slot in tonight.slots:
         if slot.start <= now < slot.end:
-            return Setpoint(slot.power_kw, slot.end)
+            full = 0.0 < slot.limit_kw <= slot.power_kw + LEAST_KW
+            return Setpoint(most_kw if full else slot.power_kw, slot.end)
         if slot.start > now:
             return Setpoint(0.0, slot.start)
     return Setpoint(0.0, now + timedelta(minutes=30))
