@@ -6,6 +6,7 @@ from datetime import datetime, timedelta
 from plugd import beat, commands, reasons, sessions, soc
 from plugd import outlook as outlooks
 from plugd.domain import (
+    Capability,
     Decision,
     Household,
     Intensity,
@@ -24,9 +25,11 @@ from plugd.perception import perceive
 from plugd.planner import nights, taper
 from plugd.planner.problem import Solver
 from plugd.relay import RelayHistory, delay_s, realise
+from plugd.units import within
 
-LEAST_KW = 0.01
-"""A smaller difference of powers is rounding."""
+LEAST_KW = 1e-3
+"""Less in a slot is the solver's rounding."""
+FULL_SHARE = 0.999
 
 
 @dataclass(slots=True)
@@ -105,7 +108,7 @@ class Controller:
         """Tonight's plan in the plug's own terms."""
         tonight = plan.sessions[0]
         if self.household.capability.modulating:
-            return _setpoint(now, tonight, self.household.capability.power_max_kw)
+            return _setpoint(now, tonight, self.household.capability)
         car = self.household.car
         ceiling_kwh = (tonight.session.ceiling - tonight.soc_end) * car.capacity_kwh
         need_kwh = (tonight.session.minimum - soc.cautious(memory.soc)) * car.capacity_kwh
@@ -131,15 +134,19 @@ class Controller:
         return delay_s(block_start, seed=self.seed, most_s=self.household.relay.random_delay_s)
 
 
-def _setpoint(now: datetime, tonight: SessionPlan, most_kw: float) -> Setpoint:
-    """The power of the slot under way, or none until the session begins.
+def _setpoint(now: datetime, tonight: SessionPlan, charger: Capability) -> Setpoint:
+    """The power of the slot under way in the charger's terms, or none until the session begins.
 
-    A slot planned at its limit, which caution or an earlier reading may have put too low, gets all there is.
+    A slot planned full is offered all there is: a car that was seen to take less may take more one day. A car that
+    takes less than the charger's least is offered that least.
     """
     for slot in tonight.slots:
         if slot.start <= now < slot.end:
-            full = 0.0 < slot.limit_kw <= slot.power_kw + LEAST_KW
-            return Setpoint(most_kw if full else slot.power_kw, slot.end)
+            if slot.power_kw <= LEAST_KW:
+                return Setpoint(0.0, slot.end)
+            full = slot.power_kw >= FULL_SHARE * slot.limit_kw
+            power_kw = charger.power_max_kw if full else slot.power_kw
+            return Setpoint(within(charger.power_min_kw, power_kw, charger.power_max_kw), slot.end)
         if slot.start > now:
             return Setpoint(0.0, slot.start)
     return Setpoint(0.0, now + timedelta(minutes=30))

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from typing import TypeVar
 
-from plugd.beat import Action, is_on
+from plugd.beat import LEASE, Action, is_on
 from plugd.beat import Cause as By
 from plugd.controller import Controller
 from plugd.domain import (
@@ -23,12 +23,15 @@ from plugd.domain import (
     Wanted,
 )
 from plugd.errors import ForecastError, PlugError, StoreError
-from plugd.ports import Clock, ForecastSource, Hub, Plug, Store
+from plugd.ports import Clock, ForecastSource, Hub, Inbox, Plug, Store, Tended
 from plugd.units import next_slot, slot_start
 
 HISTORY = timedelta(days=56)
+LOOK_S = 10.0
 FETCH_RETRY_S = (60.0, 120.0, 240.0, 480.0, 960.0, 1800.0)
 PLUG_RETRY_S = (5.0, 15.0, 60.0)
+RENEWED = 0.5 * LEASE
+"""A setpoint that is renewed at every look is told again when half its time is over."""
 Kept = TypeVar("Kept")
 
 
@@ -109,6 +112,20 @@ class Cycle:
         self._tend(now)
         self._publish(now, reading)
         return self._next(now, action)
+
+    def rest(self, due: datetime, inbox: Inbox, stopped: Callable[[], bool]) -> None:
+        """Wait until `due`, a message or a spurious end; a plug that wants a word every second gets it meanwhile.
+
+        What arrives while such a plug is tended is looked at with its next word, and the plug itself every `LOOK_S`.
+        """
+        plug = self.plug
+        if not isinstance(plug, Tended):
+            self.clock.wait(due, inbox)
+            return
+        look_s = self.clock.monotonic() + LOOK_S
+        while not (stopped() or inbox.pending()) and self.clock.now() < due and self.clock.monotonic() < look_s:
+            self.clock.wait(min(due, plug.due() or due), plug.line)
+            self._tend(self.clock.now())
 
     # -- looking ----------------------------------------------------------------------------------
 
@@ -274,7 +291,9 @@ class Cycle:
         self.faults.pop((code, what), None)
 
     def _next(self, now: datetime, action: Action) -> datetime:
-        moments = [next_slot(now), action.until, self.plug.due()]
+        moments = [next_slot(now), action.until]
+        if not isinstance(self.plug, Tended):  # that is told its word between the steps
+            moments.append(self.plug.due())
         moments += [retry.at for retry in (self.fetch, self.switch)]
         return min(m for m in moments if m is not None and m > now)
 
@@ -283,4 +302,4 @@ def _same(told: Wanted, wanted: Wanted) -> bool:
     """Whether telling the plug again would say nothing new. A setpoint is renewed before its time is over."""
     if isinstance(told, Relay) or isinstance(wanted, Relay):
         return told == wanted
-    return told.power_kw == wanted.power_kw and told.until >= wanted.until
+    return told.power_kw == wanted.power_kw and told.until >= wanted.until - RENEWED

@@ -170,6 +170,9 @@ class Reading:
     """The relay's new state where it moved since the last reading without being told: a press, a power cut."""
     came_back: bool = False
     """The plug was away (power cut, Wi-Fi, broker) since the last reading."""
+    soc: float | None = None
+    """How full the battery is, where it tells the charger itself (CAN) and its last word is not too old."""
+    soc_at: datetime | None = None
 
 
 class Mode(StrEnum):

@@ -5,7 +5,7 @@ from datetime import datetime, timedelta
 
 from plugd import sessions, soc
 from plugd.beat import next_plug_in
-from plugd.domain import Household, Memory, Mode, Press, Reading, Setpoint
+from plugd.domain import Household, Memory, Mode, Press, Reading, Setpoint, SocEstimate
 
 SMOOTHING = 0.2
 PLAUSIBLE_SHARE = (0.3, 1.2)
@@ -40,6 +40,7 @@ def _seen(now: datetime, reading: Reading, memory: Memory, household: Household)
     power_kw = household.capability.power_max_kw
     memory = replace(memory, observed_kw=_observed_kw(reading, memory, household))
     memory = replace(memory, soc=soc.metered(memory.soc, reading, household.car, power_kw))
+    memory = replace(memory, soc=_told_soc(reading, memory.soc))
     if reading.changed_by_other is not None:
         memory = _pressed(now, reading.changed_by_other, memory, household)
     if reading.on is not memory.relay_on:
@@ -47,6 +48,15 @@ def _seen(now: datetime, reading: Reading, memory: Memory, household: Household)
         since = None if memory.relay_on is None else reading.at
         memory = replace(memory, relay_on=reading.on, relay_since=since)
     return memory
+
+
+def _told_soc(reading: Reading, known: SocEstimate) -> SocEstimate:
+    """A battery that tells its charger how full it is knows better than anybody."""
+    if reading.soc is None or reading.soc_at is None:
+        return known
+    if known.told_at is not None and reading.soc_at <= known.told_at:
+        return known
+    return soc.told(known, reading.soc, reading.soc_at, "car")
 
 
 def _pressed(now: datetime, on: bool, memory: Memory, household: Household) -> Memory:

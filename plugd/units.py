@@ -65,6 +65,16 @@ def to_w(power_kw: float) -> float:
     return round(power_kw * 1000.0, 1)
 
 
+def kw_of(current_a: float, voltage_v: float) -> float:
+    """Power of a current at a voltage, one phase or direct current."""
+    return current_a * voltage_v / 1000.0
+
+
+def amps_of(power_kw: float, voltage_v: float) -> float:
+    """Current that carries a power at a voltage above zero, one phase or direct current."""
+    return power_kw * 1000.0 / voltage_v
+
+
 def within(low: float, value: float, high: float) -> float:
     """`value`, held between `low` and `high`."""
     return min(max(value, low), high)
