@@ -6,6 +6,7 @@ import random
 import signal
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 from types import FrameType
 
@@ -16,15 +17,20 @@ from plugd.adapters.neso import Neso
 from plugd.adapters.store import SqliteStore
 from plugd.adapters.tasmota import Tasmota
 from plugd.config import Config, household
+from plugd.config.sections import MODULATING
 from plugd.controller import Controller
 from plugd.cycle import Cycle
 from plugd.domain import Capability, Decision, Forecast, Memory
 from plugd.errors import ConfigError, StoreError
 from plugd.planner.qp import Qp
-from plugd.ports import Clock, Plug
+from plugd.ports import Clock, Plug, Tended
+from plugd.units import kw_of
 
 BROKER_PATIENCE_S = 10.0
 """How long a start waits for the broker before it goes on without."""
+
+FETCH_S, CAN_FETCH_S = 10.0, 3.0
+"""How long the forecast may take. A CAN charger that hears nothing for 5 s meanwhile would stop."""
 
 log = logging.getLogger("plugd")
 
@@ -53,7 +59,14 @@ def base_topic(config: Config) -> str:
 
 def capability_of(config: Config) -> Capability:
     """What the configured plug can be told, without asking it."""
-    return Capability(config.plug.power_kw, dead_man=True)
+    plug, can = config.plug, config.can
+    if plug.kind not in MODULATING:
+        return Capability(plug.power_kw, dead_man=True)
+    most_kw = min(plug.power_kw, kw_of(plug.max_current_a, plug.mains_voltage_v))
+    if plug.kind == "can_elcon" and can.max_voltage_v is not None and can.max_current_a is not None:
+        most_kw = min(most_kw, kw_of(can.max_current_a, can.max_voltage_v) / config.car.efficiency)
+    least_kw = min(most_kw, kw_of(plug.min_current_a, plug.mains_voltage_v))
+    return Capability(most_kw, modulating=True, power_min_kw=least_kw)
 
 
 def plug_for(config: Config, connection: MqttConnection, clock: Clock) -> Plug:
@@ -61,14 +74,27 @@ def plug_for(config: Config, connection: MqttConnection, clock: Clock) -> Plug:
     match config.plug.kind:
         case "tasmota":
             return Tasmota(connection, clock, config.plug.topic or "", config.plug.power_kw, config.plug.dead_man_s)
+        case "can_elcon":
+            return _can_charger(config, clock)
         case kind:
             raise ConfigError(f'plug.kind = "{kind}": not supported yet; use "tasmota"')
+
+
+def _can_charger(config: Config, clock: Clock) -> Plug:
+    """The charger on CAN. Raises ConfigError where its libraries are not installed, or a DBC cannot be read."""
+    if missing := [name for name in ("cantools", "msgpack", "serial") if find_spec(name) is None]:
+        remedy = "pip install 'plugd[can]', or all of requirements.lock"
+        raise ConfigError(f'plug.kind = "can_elcon": needs {" and ".join(missing)}; {remedy}')
+    from plugd.adapters.can_charger import charger  # only where it is wanted: others need not have its libraries
+
+    return charger(config, capability_of(config), clock)
 
 
 def source_for(config: Config) -> Neso:
     """The forecast source for the configured place."""
     home = config.home
-    return Neso(config.forecast.base_url, home.region_id, home.postcode)
+    timeout_s = CAN_FETCH_S if config.plug.kind == "can_elcon" else FETCH_S
+    return Neso(config.forecast.base_url, home.region_id, home.postcode, timeout_s)
 
 
 def hub_for(config: Config, connection: MqttConnection, plug: Plug) -> MqttHub:
@@ -190,8 +216,12 @@ def run(config: Config, clock: Clock) -> None:
         while not stop.asked:
             due = cycle.step()
             journal.note(cycle.shown)
-            clock.wait(due, connection)
+            cycle.rest(due, connection, lambda: stop.asked)
         if isinstance(hub, MqttHub):
             hub.close()
             connection.flush()
-        log.info("plugd ends; the plug's own timer takes over")
+        if isinstance(cycle.plug, Tended):
+            cycle.plug.close()
+            log.info("plugd ends; the charger is stopped, and stays so until plugd runs again")
+        else:
+            log.info("plugd ends; the plug's own timer takes over")

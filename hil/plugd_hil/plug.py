@@ -41,7 +41,7 @@ class Scene:
         self._soc_topic = soc_topic
         self._on = plug.on
         self._boundary = next_slot(plug.now)
-        self._note("start")
+        self.note("start")
 
     def due(self) -> datetime:
         """When something happens next."""
@@ -57,21 +57,21 @@ class Scene:
                 said += self.leave() if self.car.connected else self.arrive()
             if due == self._boundary:
                 self._boundary += HALF_HOUR
-                self._note("slot")
+                self.note("slot")
         return said + self.watch(self.plug.advance(to))
 
     def watch(self, said: list[Said]) -> list[Said]:
         """Writes down when the relay has moved."""
         if self.plug.on is not self._on:
             self._on = self.plug.on
-            self._note("on" if self._on else "off")
+            self.note("on" if self._on else "off")
         return said
 
     def arrive(self) -> list[Said]:
         """The car is plugged in, and tells its SOC where it can."""
         self.car.arrive()
         self.plug.load_changed()
-        self._note("arrive")
+        self.note("arrive")
         percent = to_pct(self.car.battery.soc)
         return [Said(self._soc_topic, f"{percent:.1f}", qos=1)] if self._soc_topic else []
 
@@ -79,7 +79,7 @@ class Scene:
         """The car is unplugged, and driven: what it uses is gone from the next line on."""
         self.car.leave()
         self.plug.load_changed()
-        self._note("leave")
+        self.note("leave")
         self.car.drive()
         return []
 
@@ -99,17 +99,18 @@ class Scene:
             case ["soc", percent]:
                 self.car.battery.energy_kwh = from_pct(float(percent)) * self.car.battery.capacity_kwh
                 self.plug.load_changed()
-                self._note("soc")
+                self.note("soc")
             case _:
                 raise ValueError(f"stub plug: {line.strip()!r} is no order")
         return []
 
-    def _note(self, event: str) -> None:
+    def note(self, event: str, **more: float) -> None:
+        """A line of the ledger."""
         if self._ledger is None:
             return
         line = {
             "at": self.plug.now.isoformat(), "event": event, "soc": self.car.battery.soc,
-            "energy_kwh": self.plug.total_kwh, "on": self.plug.on, "connected": self.car.connected,
+            "energy_kwh": self.plug.total_kwh, "on": self.plug.on, "connected": self.car.connected, **more,
         }  # fmt: skip
         print(json.dumps(line), file=self._ledger, flush=True)
 

@@ -14,6 +14,7 @@ from plugd.adapters.tasmota import Tasmota
 from plugd.domain import Reading, Relay, Setpoint, Wanted
 from plugd.ports import Clock, Plug
 from plugd_hil.broker import Mosquitto
+from tests.contract.can_rig import can_slcan
 from tests.fakes import FakeCharger, FakeClock, FakePlug
 
 HIL = Path(__file__).resolve().parents[2] / "hil"
@@ -190,5 +191,5 @@ def tasmota(broker: Callable[[], Mosquitto]) -> Iterator[Rig]:
     stub.close()
 
 
-RIGS = {"fake plug": fake_plug, "fake charger": fake_charger, "tasmota": tasmota}
+RIGS = {"fake plug": fake_plug, "fake charger": fake_charger, "tasmota": tasmota, "can slcan": can_slcan}
 WITH_DEAD_MAN = ("fake plug", "tasmota")

@@ -6,6 +6,7 @@ import pytest
 
 from plugd.domain import Relay, Setpoint
 from plugd.errors import PlugRefused, PlugTimeout
+from plugd.ports import Tended
 from tests.contract.rigs import Rig, eventually, order
 
 FRESH = timedelta(seconds=60)
@@ -133,6 +134,6 @@ def test_a_power_cut_is_no_press(dead_man: Rig) -> None:
     assert not dead_man.plug.read().came_back
 
 
-def test_without_a_dead_man_nothing_is_renewed(rig: Rig) -> None:
+def test_what_has_no_dead_man_and_need_not_be_tended_is_not_renewed(rig: Rig) -> None:
     rig.plug.set(order(rig, False))
-    assert (rig.plug.due() is not None) is rig.plug.capability.dead_man
+    assert (rig.plug.due() is not None) is (rig.plug.capability.dead_man or isinstance(rig.plug, Tended))
