@@ -302,4 +302,4 @@ def _same(told: Wanted, wanted: Wanted) -> bool:
     """Whether telling the plug again would say nothing new. A setpoint is renewed before its time is over."""
     if isinstance(told, Relay) or isinstance(wanted, Relay):
         return told == wanted
-    return told.power_kw == wanted.power_kw and told.until >= wanted.until - RENEWED
+    return told.power_kw == wanted.power_kw and told.until > wanted.until - RENEWED
