@@ -1,5 +1,6 @@
 """The decision: what the household, the world as seen and the memory make of one moment. Pure."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 
@@ -18,6 +19,7 @@ from plugd.domain import (
     Session,
     SessionPlan,
     Setpoint,
+    SocEstimate,
     Switching,
 )
 from plugd.guard import believed_kw
@@ -107,31 +109,43 @@ class Controller:
     def _orders(self, now: datetime, plan: Plan, memory: Memory) -> Orders:
         """Tonight's plan in the plug's own terms."""
         tonight = plan.sessions[0]
-        if self.household.capability.modulating:
-            return _setpoint(now, tonight, self.household.capability)
-        car = self.household.car
-        ceiling_kwh = (tonight.session.ceiling - tonight.soc_end) * car.capacity_kwh
-        need_kwh = (tonight.session.minimum - soc.cautious(memory.soc)) * car.capacity_kwh
         history = RelayHistory(
             on=bool(memory.relay_on),
             since=memory.relay_since,
             switch_ons=tuple(at for at in memory.switch_ons if at >= tonight.session.start),
             orders=memory.orders if isinstance(memory.orders, Switching) else None,
         )
-        return realise(
-            tonight,
-            now,
-            history,
-            self.household.relay,
-            surplus_kwh=max(0.0, ceiling_kwh) / car.efficiency,
-            must_kwh=max(0.0, need_kwh) / car.efficiency,
-            margin_s=self.household.guard_margin_s,
-            delay=self._delay if self.household.relay.random_delay_s > 0.0 else None,
-        )
+        return orders(now, tonight, memory.soc, history, self.household, self._delay)
 
     def _delay(self, block_start: datetime) -> float:
         """Seconds by which a block of the plan starts later, so that neighbours do not start as one."""
         return delay_s(block_start, seed=self.seed, most_s=self.household.relay.random_delay_s)
+
+
+def orders(
+    now: datetime,
+    tonight: SessionPlan,
+    estimate: SocEstimate,
+    history: RelayHistory,
+    household: Household,
+    delay: Callable[[datetime], float],
+) -> Orders:
+    """A session's plan in the plug's own terms. `history`: what its relay did, where it is one."""
+    if household.capability.modulating:
+        return _setpoint(now, tonight, household.capability)
+    car = household.car
+    ceiling_kwh = (tonight.session.ceiling - tonight.soc_end) * car.capacity_kwh
+    need_kwh = (tonight.session.minimum - soc.cautious(estimate)) * car.capacity_kwh
+    return realise(
+        tonight,
+        now,
+        history,
+        household.relay,
+        surplus_kwh=max(0.0, ceiling_kwh) / car.efficiency,
+        must_kwh=max(0.0, need_kwh) / car.efficiency,
+        margin_s=household.guard_margin_s,
+        delay=delay if household.relay.random_delay_s > 0.0 else None,
+    )
 
 
 def _setpoint(now: datetime, tonight: SessionPlan, charger: Capability) -> Setpoint:

@@ -39,7 +39,9 @@ def _seen(now: datetime, reading: Reading, memory: Memory, household: Household)
     """What the plug itself tells."""
     power_kw = household.capability.power_max_kw
     memory = replace(memory, observed_kw=_observed_kw(reading, memory, household))
-    memory = replace(memory, soc=soc.metered(memory.soc, reading, household.car, power_kw))
+    held_back = isinstance(memory.orders, Setpoint) and memory.orders.power_kw < power_kw
+    metered = soc.metered(memory.soc, reading, household.car, power_kw, held_back=held_back)
+    memory = replace(memory, soc=metered)
     memory = replace(memory, soc=_told_soc(reading, memory.soc))
     if reading.changed_by_other is not None:
         memory = _pressed(now, reading.changed_by_other, memory, household)

@@ -85,6 +85,15 @@ def test_a_configured_taper_is_no_limit_of_the_car() -> None:
     assert perceive(NIGHT, reading(power_kw=1.5), memory, tapers).observed_kw == 2.3
 
 
+def test_a_car_is_not_full_because_its_charger_gives_less_and_less() -> None:
+    memory = replace(knows(0.5), observed_kw=2.1, orders=Setpoint(2.0, NIGHT + minutes(120)))
+    memory = seen(memory, reading(power_kw=2.0))
+    for after, power_kw in ((30, 1.0), (60, 0.1), (90, 0.0)):
+        memory = replace(memory, orders=Setpoint(power_kw, NIGHT + minutes(120)))
+        memory = seen(memory, reading(power_kw=power_kw, now=NIGHT + minutes(after)))
+        assert memory.soc.source == "hub"
+
+
 def test_metered_energy_is_in_the_soc() -> None:
     memory = seen(knows(0.5), reading(energy_kwh=5.0), reading(energy_kwh=7.0, now=NIGHT + minutes(60)))
     assert memory.soc.mean == pytest.approx(0.5 + 2.0 * 0.9 / 50.0)
