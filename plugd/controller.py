@@ -24,7 +24,7 @@ from plugd.domain import (
 )
 from plugd.guard import believed_kw
 from plugd.perception import perceive
-from plugd.planner import nights, taper
+from plugd.planner import hold, nights, taper
 from plugd.planner.problem import Solver
 from plugd.relay import RelayHistory, delay_s, realise
 from plugd.units import within
@@ -103,8 +103,14 @@ class Controller:
         power_kw = believed_kw(memory.observed_kw, self.household.capability.power_max_kw)
         parts = nights.layout(coming, now, energy_kwh, power_kw, self.household)
         asked = nights.problem(parts, outlook, energy_kwh, memory.plan, self.household, history)
-        stated, solution = taper.solve(self.solver, asked, car)
+        held = hold.held(asked, parts, now, self._hold_g_per_kwh())
+        stated, solution = taper.solve(self.solver, held, car)
+        stated, solution = hold.let_go(asked, stated, solution)
         return nights.plan(now, parts, stated, solution, self.household)
+
+    def _hold_g_per_kwh(self) -> float:
+        """A relay is spared; a charger changes its power without wear."""
+        return 0.0 if self.household.capability.modulating else self.household.relay.hold_g_per_kwh
 
     def _orders(self, now: datetime, plan: Plan, memory: Memory) -> Orders:
         """Tonight's plan in the plug's own terms."""

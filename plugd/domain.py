@@ -123,6 +123,8 @@ class RelayRules:
     min_off_s: float = 600.0
     max_switch_on: int = 6
     random_delay_s: float = 600.0
+    hold_g_per_kwh: float = 5.0
+    """The slot under way and the next are left only for slots cleaner by more than this."""
 
 
 @dataclass(frozen=True, slots=True)
