@@ -1,6 +1,6 @@
 """What a relay costs, and what makes its plan hold still: two tables from the whole cycle in its simulated house.
 
-    PLUGD_DATA=folder python bench/relay.py [--table relay|stillness] [--year] [--nights 14] [--seeds 1]
+    PLUGD_DATA=folder python bench/relay.py [--table relay|stillness] [--world NAME] [--kw KW] [--year] [--nights 14]
 
 The real controller, relay and beat (`plugd.study.house.House`), the paper's driver, 50 kWh, efficiency 0.9, no random
 delay, four nights planned, the clocks of Europe/London; measured intensity of 2023 (without PLUGD_DATA a synthetic
@@ -11,10 +11,10 @@ the energy that each night really took, in the cleanest half hours of that night
 In the world `perfect` the forecast is what will be measured, to the end of the horizon; in `errors` it covers 48 h and
 its error grows to 20 % there as an autoregressive process (0.97 a half hour), the demo's.
 
-stillness: by `[relay] hold`, how much cleaner another slot must be before the slot under way or the next is left.
-A reversal is a half hour still to come in this session that one tick plans on and the next plans off. `errors` as
-above; `paper`: its noise, the one-step error of each target slot, grown with the lead, with signs drawn anew for
-every slot of every issue.
+stillness: by how much cleaner another slot must be before the slot under way or the next is left. A reversal is a half
+hour of this session that one tick plans on and the next plans off, a near one is in the half hour under way or the
+next, where the relay may have been switched already. `errors` as above; `paper`: its noise, the one-step error of each target
+slot, grown with the lead, with signs drawn anew for every slot of every issue.
 """
 
 import argparse
@@ -253,7 +253,7 @@ def relay_table(asked: argparse.Namespace) -> None:
     hold = USUAL.hold_g_per_kwh
     lines = [
         Job(kw, modulating, world, hold, 0, 0, 0)
-        for world in ("perfect", "errors") for kw in POWERS_KW for modulating in (True, False)
+        for world in asked.world or ("perfect", "errors") for kw in asked.kw or POWERS_KW for modulating in (True, False)
     ]  # fmt: skip
     found = simulate(asked, lines)
     print("| world | kW | charger g/kWh | relay g/kWh | relay against charger % | inside the night % | "
@@ -276,7 +276,7 @@ def stillness_table(asked: argparse.Namespace) -> None:
     """What holding costs and saves."""
     lines = [
         Job(kw, False, world, hold, 0, 0, 0)
-        for world in ("errors", "paper") for kw in (2.3, 10.0)[: 2 if asked.year else 1] for hold in HOLDS_G_PER_KWH
+        for world in asked.world or ("errors", "paper") for kw in asked.kw or (2.3,) for hold in HOLDS_G_PER_KWH
     ]  # fmt: skip
     found = simulate(asked, lines)
     print("| world | kW | hold g/kWh | reversals a night | near ones | switch-ons a night | g/kWh | against none % | "
@@ -298,6 +298,8 @@ def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--table", choices=TABLES, action="append")
+    parser.add_argument("--world", choices=("perfect", "errors", "paper"), action="append")
+    parser.add_argument("--kw", type=float, action="append")
     parser.add_argument("--year", action="store_true")
     parser.add_argument("--nights", type=int, default=14)
     parser.add_argument("--seeds", type=int, default=1)
