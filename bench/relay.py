@@ -13,8 +13,8 @@ its error grows to 20 % there as an autoregressive process (0.97 a half hour), t
 
 stillness: by how much cleaner another slot must be before the slot under way or the next is left. A reversal is a half
 hour of this session that one tick plans on and the next plans off, a near one is in the half hour under way or the
-next, where the relay may have been switched already. `errors` as above; `paper`: its noise, the one-step error of each target
-slot, grown with the lead, with signs drawn anew for every slot of every issue.
+next, where the relay may have been switched already. `errors` as above; `paper`: its noise, the one-step error of each
+target slot, grown with the lead, with signs drawn anew for every slot of every issue.
 """
 
 import argparse
@@ -253,7 +253,8 @@ def relay_table(asked: argparse.Namespace) -> None:
     hold = USUAL.hold_g_per_kwh
     lines = [
         Job(kw, modulating, world, hold, 0, 0, 0)
-        for world in asked.world or ("perfect", "errors") for kw in asked.kw or POWERS_KW for modulating in (True, False)
+        for world in asked.world or ("perfect", "errors") for kw in asked.kw or POWERS_KW
+        for modulating in (True, False)
     ]  # fmt: skip
     found = simulate(asked, lines)
     print("| world | kW | charger g/kWh | relay g/kWh | relay against charger % | inside the night % | "
