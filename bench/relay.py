@@ -1,6 +1,6 @@
 """What a relay costs, and what makes its plan hold still: two tables from the whole cycle in its simulated house.
 
-    PLUGD_DATA=folder python bench/relay.py [--table relay|stillness|house] [--world NAME] [--kw KW] [--year] [--nights 14]
+    PLUGD_DATA=folder python bench/relay.py [--table relay|stillness|house] [--world NAME] [--kw KW] [--year]
 
 The real controller, relay and beat (`plugd.study.house.House`), the paper's driver, 50 kWh, efficiency 0.9, no random
 delay, four nights planned, the clocks of Europe/London; measured intensity of 2023 (without PLUGD_DATA a synthetic
