@@ -3,24 +3,35 @@ solver.
 """
 
 from dataclasses import dataclass
-from itertools import accumulate
+from itertools import compress
+from operator import mul
 
-from plugd.planner.bounds import DUST_KWH, Chain, end_value_g, powers_kw
+from plugd.planner.bounds import DUST_KWH, Chain, end_value_g, powers_kw, session_charges_kwh
 from plugd.planner.problem import Problem, Solution
 
 ROUNDING_KWH = 1e-7
 """What a plan may miss a bound by: sums of many slots."""
 
 
-def session_charges_kwh(links: Chain, charge_kwh: list[float]) -> list[float]:
-    """Battery kWh charged in each session, (N,)."""
-    return [sum(charge_kwh[first:end]) for first, end in zip(links.starts, links.starts[1:], strict=False)]
+@dataclass(frozen=True, slots=True)
+class Account:
+    """A plan and what it comes to."""
+
+    charge_kwh: list[float]
+    """Battery kWh per slot of all sessions, (n,)."""
+    session_kwh: list[float]
+    """Charged per session, (N,)."""
+    carbon_g: float
+    objective_g: float
+    """carbon_g - end value, without the proximal term."""
 
 
-def objective_g(problem: Problem, links: Chain, charge_kwh: list[float]) -> float:
-    """carbon_g - end value of a charge per slot, battery kWh (n,), without the proximal term."""
-    above_kwh = sum(charge_kwh) - links.lower_kwh[-1]
-    return carbon_g(problem, links, charge_kwh) - end_value_g(problem, above_kwh)
+def account(problem: Problem, links: Chain, charge_kwh: list[float]) -> Account:
+    """The account of battery kWh per slot of all sessions, (n,). Carbon is paper eq. 2: at the plug."""
+    session_kwh = session_charges_kwh(links, charge_kwh)
+    carbon_g = sum(map(mul, links.intensity_g_per_kwh, charge_kwh)) / problem.efficiency
+    end_g = end_value_g(problem, sum(session_kwh) - links.lower_kwh[-1]) if problem.end_value else 0.0
+    return Account(charge_kwh, session_kwh, carbon_g, carbon_g - end_g)
 
 
 def gap(objective: float, bound_g: float) -> float:
@@ -28,13 +39,17 @@ def gap(objective: float, bound_g: float) -> float:
     return (objective - bound_g) / max(abs(bound_g), 1.0)
 
 
-def within_bounds(links: Chain, charge_kwh: list[float]) -> bool:
-    """Whether a charge per slot, battery kWh (n,), keeps every slot's room and every repaired bound."""
-    if not all(0 <= x <= room for x, room in zip(charge_kwh, links.room_kwh, strict=True)):  # a NaN is neither
-        return False
-    totals_kwh = accumulate(session_charges_kwh(links, charge_kwh))
-    bounds = zip(links.lower_kwh, totals_kwh, links.upper_kwh, strict=True)
-    return all(lower - ROUNDING_KWH <= total <= upper + ROUNDING_KWH for lower, total, upper in bounds)
+def within_bounds(links: Chain, plan: Account) -> bool:
+    """Whether a plan keeps every slot's room and every repaired bound."""
+    charge, room, total_kwh = plan.charge_kwh, links.room_kwh, 0.0
+    for slot in compress(range(len(charge)), charge):
+        if not 0.0 < charge[slot] <= room[slot] + DUST_KWH:  # a NaN is not. Powers are cut at their limit
+            return False
+    for lower, charged_kwh, upper in zip(links.lower_kwh, plan.session_kwh, links.upper_kwh, strict=True):
+        total_kwh += charged_kwh
+        if not lower - ROUNDING_KWH <= total_kwh <= upper + ROUNDING_KWH:
+            return False
+    return True
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,22 +62,16 @@ class Made:
 
 
 def answer(
-    problem: Problem,
-    links: Chain,
-    charge_kwh: list[float],
-    made: Made | None = None,
-    *,
-    fallback: bool = False,
+    problem: Problem, links: Chain, plan: Account, made: Made | None = None, *, fallback: bool = False
 ) -> Solution:
-    """The Solution for battery kWh per slot of all sessions, (n,).
+    """The Solution for a plan.
 
     It is the exact solver's own, and so its own bound, without `made` and as the `fallback` of OSQP.
     """
-    objective = objective_g(problem, links, charge_kwh)
-    bound_g = made.bound_g if made else objective
+    bound_g = made.bound_g if made else plan.objective_g
     energies, shorts, reserve_shorts = [], [], []
     energy_kwh, last = problem.energy_kwh, len(problem.sessions) - 1
-    for s, (session, charged) in enumerate(zip(problem.sessions, session_charges_kwh(links, charge_kwh), strict=True)):
+    for s, (session, charged) in enumerate(zip(problem.sessions, plan.session_kwh, strict=True)):
         energy_kwh += charged
         energies.append(energy_kwh)
         shorts.append(_short_kwh(session.minimum_kwh, energy_kwh))
@@ -72,22 +81,16 @@ def answer(
     return Solution(
         status="fallback" if fallback else "repaired" if repaired else "solved",
         solver="osqp" if made and not fallback else "exact",
-        power_kw=powers_kw(problem, charge_kwh),
+        power_kw=powers_kw(problem, plan.charge_kwh),
         energy_kwh=tuple(energies),
         shortfall_kwh=tuple(shorts),
         reserve_short_kwh=tuple(reserve_shorts),
-        carbon_g=carbon_g(problem, links, charge_kwh),
+        carbon_g=plan.carbon_g,
         bound_g=bound_g,
-        gap=gap(objective, bound_g),
+        gap=gap(plan.objective_g, bound_g),
         raw_gap=made.raw_gap if made else 0.0,
         iterations=made.iterations if made else 0,
     )
-
-
-def carbon_g(problem: Problem, links: Chain, charge_kwh: list[float]) -> float:
-    """Carbon emitted, paper eq. 2: intensity times energy at the plug."""
-    battery_g = sum(c * x for c, x in zip(links.intensity_g_per_kwh, charge_kwh, strict=True) if x)
-    return battery_g / problem.efficiency
 
 
 def _short_kwh(wanted_kwh: float, energy_kwh: float) -> float:

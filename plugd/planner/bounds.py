@@ -7,6 +7,8 @@ earlier minimum takes it there) is lifted. What was cut shows as the shortfall o
 """
 
 from dataclasses import dataclass
+from itertools import compress
+from operator import mul
 
 from plugd.planner.problem import Problem, Series
 
@@ -37,14 +39,21 @@ def chain(problem: Problem) -> Chain:
     efficiency, last = problem.efficiency, len(problem.sessions) - 1
     intensity: list[float] = []
     room: list[float] = []
+    power_kw: Series = ()
+    slot_h: Series = ()
+    rooms: list[float] = []
+    rooms_kwh = 0.0
     starts, session_room, lowers, uppers = [0], [], [], []
     offset_kwh = -problem.energy_kwh  # added to a battery level: what it is as cumulative charge
     for number, session in enumerate(problem.sessions):
-        rooms = [efficiency * p * h for p, h in zip(session.power_max_kw, session.slot_h, strict=True)]
+        if session.power_max_kw != power_kw or session.slot_h != slot_h:  # most nights are alike
+            power_kw, slot_h = session.power_max_kw, session.slot_h
+            rooms = [efficiency * kwh for kwh in map(mul, power_kw, slot_h)]
+            rooms_kwh = sum(rooms)
         intensity += session.intensity_g_per_kwh
         room += rooms
         starts.append(len(room))
-        session_room.append(sum(rooms))
+        session_room.append(rooms_kwh)
         level_kwh = session.minimum_kwh
         if number < last:  # paper eq. 4: nothing binds on arrival after the last session
             level_kwh = max(level_kwh, problem.reserve_kwh + session.daily_use_kwh)
@@ -91,6 +100,11 @@ def tube(lower_kwh: list[float], upper_kwh: list[float], room_kwh: list[float]) 
     return least, most
 
 
+def session_charges_kwh(links: Chain, charge_kwh: list[float]) -> list[float]:
+    """Battery kWh charged in each session, (N,)."""
+    return [sum(charge_kwh[first:end]) for first, end in zip(links.starts, links.starts[1:], strict=False)]
+
+
 def end_value_g(problem: Problem, above_kwh: float) -> float:
     """Worth in g of `above_kwh` battery kWh above the last session end's repaired lower bound; concave."""
     value_g = 0.0
@@ -108,11 +122,11 @@ def powers_kw(problem: Problem, charge_kwh: list[float]) -> tuple[Series, ...]:
     powers, first = [], 0
     for session in problem.sessions:
         end = first + len(session.slot_h)
-        powers.append(
-            tuple(
-                min(x / (problem.efficiency * h), most) if x > DUST_KWH and h > 0 else 0.0
-                for x, h, most in zip(charge_kwh[first:end], session.slot_h, session.power_max_kw, strict=True)
-            )
-        )
+        own = [0.0] * (end - first)
+        charged = charge_kwh[first:end]
+        for k in compress(range(end - first), charged):
+            if charged[k] > DUST_KWH and session.slot_h[k] > 0:
+                own[k] = min(charged[k] / (problem.efficiency * session.slot_h[k]), session.power_max_kw[k])
+        powers.append(tuple(own))
         first = end
     return tuple(powers)

@@ -1,7 +1,7 @@
 """The exact chain solver: the linear problem solved by sorting, in pure Python, O(n log n).
 
 Every slot of a session enters each constraint, and the end value, in the same way, so only its price tells
-slots apart. Sessions are taken in order with one pool of (price, slot) still open. An upper bound that the
+slots apart. Sessions are taken in order with one pool of slots still open. An upper bound that the
 pool's room could break drops the dearest of it; a lower bound not yet reached commits the cheapest. What is
 committed is never undone and what is dropped never needed again: both are forced by a bound that every later
 choice shares. At the end the pool is taken up to the worth of energy left. It is the fallback, the oracle of
@@ -10,13 +10,14 @@ the tests and the certificate beside every OSQP plan.
 
 from dataclasses import dataclass
 
-from plugd.planner.answer import answer
+from plugd.planner.answer import account, answer
 from plugd.planner.bounds import DUST_KWH, Chain, chain
 from plugd.planner.least_power import honoured
 from plugd.planner.problem import Problem, Solution
+from plugd.planner.ranking import Ranking, ranked
 
-Pool = list[tuple[float, int]]
-"""(price, slot), ascending: of equal prices the earlier slot is taken first and dropped last."""
+Pool = Ranking
+"""Of equal prices the earlier slot is taken first and dropped last."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,25 +32,28 @@ class Exact:
 def solve(problem: Problem) -> Solution:
     """The plan of least carbon_g - end value; Ties go to the earlier slot."""
     links = chain(problem)
-    return honoured(problem, answer(problem, links, optimum(problem, links)), optimum)
+    best = account(problem, links, optimum(problem, links))
+    return honoured(problem, answer(problem, links, best), optimum)
 
 
-def optimum(problem: Problem, links: Chain) -> list[float]:
-    """Battery kWh charged in each slot of all sessions, (n,), at least cost on the repaired bounds."""
+def optimum(problem: Problem, links: Chain, slots: list[Ranking] | None = None) -> list[float]:
+    """Battery kWh charged in each slot of all sessions, (n,), at least cost on the repaired bounds.
+
+    `slots`: each session's ranking where ties are not to go to the earlier.
+    """
     price, left = links.intensity_g_per_kwh, links.room_kwh.copy()
     charge = [0.0] * len(left)
     pool: Pool = []
     committed = possible = 0.0  # charged so far; the same with all of the pool
-    for s, (lower, upper) in enumerate(zip(links.lower_kwh, links.upper_kwh, strict=True)):
-        slots = range(links.starts[s], links.starts[s + 1])
-        pool += [(price[i], i) for i in slots if left[i] > 0]
-        pool.sort()
-        possible += links.session_room_kwh[s]
+    for fresh, lower, upper in zip(slots or ranked(links), links.lower_kwh, links.upper_kwh, strict=True):
+        pool += fresh
+        pool.sort(key=price.__getitem__)  # stable: of equals the earlier session first
+        possible += sum([left[slot] for slot in fresh])
         if possible > upper:
             possible -= _drop(pool, left, possible - upper)
         if committed < lower:
             committed += _commit(pool, left, charge, lower - committed)
-    _take_worth(problem, pool, left, charge, committed - links.lower_kwh[-1])
+    _take_worth(problem, links, pool, left, charge, committed - links.lower_kwh[-1])
     return charge
 
 
@@ -57,7 +61,7 @@ def _drop(pool: Pool, left: list[float], excess_kwh: float) -> float:
     """Take `excess_kwh` of room out of the pool, dearest first; return what was taken."""
     wanted_kwh = excess_kwh
     while pool:
-        slot = pool[-1][1]
+        slot = pool[-1]
         if left[slot] > excess_kwh + DUST_KWH:
             left[slot] -= excess_kwh
             return wanted_kwh
@@ -69,7 +73,7 @@ def _drop(pool: Pool, left: list[float], excess_kwh: float) -> float:
 def _commit(pool: Pool, left: list[float], charge: list[float], need_kwh: float) -> float:
     """Charge `need_kwh` from the pool, cheapest first; return what was charged."""
     wanted_kwh = need_kwh
-    for taken, (_, slot) in enumerate(pool):
+    for taken, slot in enumerate(pool):
         if left[slot] > need_kwh:
             charge[slot] += need_kwh
             left[slot] -= need_kwh
@@ -81,7 +85,9 @@ def _commit(pool: Pool, left: list[float], charge: list[float], need_kwh: float)
     return wanted_kwh - need_kwh
 
 
-def _take_worth(problem: Problem, pool: Pool, left: list[float], charge: list[float], above_kwh: float) -> None:
+def _take_worth(
+    problem: Problem, links: Chain, pool: Pool, left: list[float], charge: list[float], above_kwh: float
+) -> None:
     """Charge from the pool, cheapest first, while a slot costs less than the energy left at the end is worth.
 
     `above_kwh` is how much lies above the end value's start already. Beyond the last step worth is 0, so that
@@ -96,9 +102,9 @@ def _take_worth(problem: Problem, pool: Pool, left: list[float], charge: list[fl
     steps.append((float("inf"), 0.0))
     step = iter(steps)
     width_kwh, worth = next(step)
-    for price, slot in pool:
+    for slot in pool:
         while left[slot] > 0:
-            if price >= worth:
+            if links.intensity_g_per_kwh[slot] >= worth:
                 return
             part_kwh = min(left[slot], width_kwh)
             charge[slot] += part_kwh

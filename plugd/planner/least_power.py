@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 from heapq import heappop, heappush
 from itertools import accumulate
 
-from plugd.planner.answer import Made, answer, gap, objective_g, session_charges_kwh
-from plugd.planner.bounds import DUST_KWH, Chain, chain, repair
+from plugd.planner.answer import Made, account, answer, gap
+from plugd.planner.bounds import DUST_KWH, Chain, chain, repair, session_charges_kwh
 from plugd.planner.problem import Problem, Solution
 
 MAX_NODES = 150
@@ -88,7 +88,7 @@ class Search:
         charge = tuple(x + more for x, more in zip(found, taken, strict=True))
         return Node(
             short_kwh if short_kwh > KEPT_KWH else 0.0,
-            objective_g(self.problem, self.asked, list(charge)),
+            account(self.problem, self.asked, list(charge)).objective_g,
             charge,
             closed,
             forced,
@@ -139,7 +139,7 @@ class Search:
             node,
             charge_kwh=charge,
             short_kwh=short_kwh,
-            objective_g=objective_g(self.problem, self.asked, list(charge)),
+            objective_g=account(self.problem, self.asked, list(charge)).objective_g,
         )
 
 
@@ -172,7 +172,8 @@ def honoured(problem: Problem, solution: Solution, optimum: Optimum) -> Solution
         if same.short_kwh <= KEPT_KWH and not _better(best, same):
             best, solver = same, "osqp"
     made = Made(solution.bound_g, solution.raw_gap, solution.iterations)
-    found = answer(problem, links, list(best.charge_kwh), made, fallback=solution.status == "fallback")
+    plan = account(problem, links, list(best.charge_kwh))
+    found = answer(problem, links, plan, made, fallback=solution.status == "fallback")
     return _at_least(problem, replace(found, solver="osqp" if solver == "osqp" else "exact"))
 
 

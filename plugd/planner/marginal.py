@@ -12,8 +12,7 @@ from itertools import accumulate
 from math import inf
 from typing import Literal
 
-from plugd.planner.answer import session_charges_kwh
-from plugd.planner.bounds import DUST_KWH, Chain, chain, tube
+from plugd.planner.bounds import DUST_KWH, Chain, chain, session_charges_kwh, tube
 from plugd.planner.exact import optimum
 from plugd.planner.prices import BINDING_KWH
 from plugd.planner.problem import Problem, Solution

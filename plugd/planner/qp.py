@@ -5,8 +5,16 @@ optimum is computed beside every solve. A plan from OSQP leaves this module only
 bound is kept and the objective lies within 0.05 % of that optimum. Else a second, tighter pass; else the
 exact plan, with status `fallback`.
 
-Every solve starts from the exact plan and its prices, not from the last tick's answer: a third of the
-iterations, nothing to roll at a session's end, and a fresh workspace answers as well as an old one.
+**What OSQP decides.** The exact plan fills each session from its cheapest slot on and has one edge in each. OSQP gets
+the three slots at each edge, all sessions together; every other slot stays full or empty as the exact plan has it.
+So the answer is the optimum of the quadratic problem over those slots, not over all: where more than three slots of a
+session lie within the proximal term's reach of its edge (0.45 g/kWh), or the plan before used slots that near but
+further down the order, they are left as they are. That cannot cost carbon: the certificate is against the linear
+optimum over all slots. It can cost stillness among near ties, by no more than the proximal term weighs; of equal slots
+those of the plan before come first in the order.
+
+OSQP starts at the exact plan and its prices and mostly confirms it in five iterations; there is nothing to roll at a
+session's end, and a fresh workspace answers as well as an old one.
 The second pass takes a smaller proximal term than the first: at 0.001 two slots of different nights within
 0.15 g/kWh still share, which is more than 0.05 % where little is charged.
 
@@ -17,37 +25,39 @@ extension is called directly: its update returns the code that the wrapper drops
 35 us a tick.
 """
 
+from array import array
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from math import isfinite
+from operator import le
 from typing import Any, Protocol
 
 import numpy as np
 import osqp
 import scipy.sparse
 
-from plugd.planner.answer import Made, answer, gap, objective_g, within_bounds
+from plugd.planner.answer import Account, Made, account, answer, gap, within_bounds
 from plugd.planner.bounds import Chain, chain
 from plugd.planner.condensed import (
-    SNAP_SLOTS,
-    Certificate,
+    OPEN,
+    OVERRUN_SLOTS,
     Condensed,
-    Ranked,
     Shape,
     charges_kwh,
     condense,
+    confirmed,
     overrun_slots,
-    ranked,
-    roomy,
-    start,
 )
 from plugd.planner.exact import optimum
 from plugd.planner.least_power import honoured
-from plugd.planner.prices import prices
 from plugd.planner.problem import Problem, Solution
+from plugd.planner.ranking import Ranking, ranked
 
 MAX_GAP = 5e-4
-MAX_NONZEROS = 400_000
-"""Above it the condensed form is no longer the right one (hundreds of sessions): the exact plan is given."""
+MAX_SESSIONS = 400
+"""Above it the condensed form, whose matrix grows with the square, is no longer the right one: the exact plan is
+given.
+"""
 SOLVED = 1
 RHO = 0.03
 """ADMM's step size at the start of every solve."""
@@ -62,13 +72,12 @@ class Pass:
     epsilon: float
     tolerance: float
     max_iter: int
-    snap: bool
     hair_slots: float
     """A total this near to a bound or to the edge of a slot is put there."""
 
 
-FIRST = Pass(epsilon=0.003, tolerance=1e-4, max_iter=1500, snap=True, hair_slots=1e-3)
-SECOND = Pass(epsilon=1e-4, tolerance=1e-7, max_iter=5000, snap=False, hair_slots=1e-5)
+FIRST = Pass(epsilon=0.003, tolerance=1e-4, max_iter=1500, hair_slots=1e-3)
+SECOND = Pass(epsilon=1e-4, tolerance=1e-7, max_iter=5000, hair_slots=1e-5)
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,8 +95,8 @@ UNSOUND = Attempt(0, 0, ())
 class Workspace(Protocol):
     """A solver set up for one Shape and Pass."""
 
-    def solve(self, form: Condensed, x: list[float], y: list[float]) -> Attempt:
-        """Solve `form`, in the shape the workspace was made for, starting from `x` and multipliers `y`."""
+    def solve(self, form: Condensed) -> Attempt:
+        """Solve `form`, in the shape the workspace was made for, from its start."""
 
 
 class OsqpWorkspace:
@@ -98,22 +107,21 @@ class OsqpWorkspace:
 
     def __init__(self, shape: Shape, settings: Pass) -> None:
         self._shape, self._settings = shape, settings
-        self._columns = sum(shape.columns) + shape.steps
-        self._rows = self._columns + len(shape.columns) + (shape.steps > 0)
+        self._columns = OPEN * shape.sessions + shape.steps
+        self._rows = self._columns + shape.sessions + (shape.steps > 0)
         self._raw: Any = None  # the extension's solver
 
-    def solve(self, form: Condensed, x: list[float], y: list[float]) -> Attempt:
+    def solve(self, form: Condensed) -> Attempt:
         """See Workspace."""
-        cost, lower, upper = np.array(form.cost), np.array(form.lower), np.array(form.upper)
-        from_x, from_y = np.array(x), np.array(y)
-        if not len(cost) == len(from_x) == self._columns:
+        n, m = self._columns, self._rows
+        if not (len(form.cost) == len(form.x) == n and len(form.lower) == len(form.upper) == len(form.y) == m):
             return UNSOUND
-        if not len(lower) == len(upper) == len(from_y) == self._rows:
+        numbers = array("d", form.cost + form.lower + form.upper + form.x + form.y)  # a third of np.array's time
+        if not (isfinite(sum(numbers)) and all(map(le, form.lower, form.upper))):
             return UNSOUND
-        if not (np.isfinite(cost).all() and (lower <= upper).all()):  # a NaN is never <=
-            return UNSOUND
-        if not (np.isfinite(from_x).all() and np.isfinite(from_y).all()):
-            return UNSOUND
+        vector = np.frombuffer(numbers)
+        cost, lower, upper = vector[:n], vector[n : n + m], vector[n + m : n + 2 * m]
+        from_x, from_y = vector[n + 2 * m : 2 * (n + m)], vector[2 * (n + m) :]
         if self._raw is None:
             try:
                 self._raw = self._set_up(cost, lower, upper)
@@ -144,25 +152,24 @@ class OsqpWorkspace:
             rho=RHO,
             adaptive_rho=True,  # a fixed one takes 20,000 iterations on rare ticks
             adaptive_rho_interval=200,  # at the default 50 it swings to and fro on degenerate ticks
-            check_termination=25,
+            check_termination=5,
             check_dualgap=True,
+            eps_prim_inf=1e-9,  # repaired bounds are feasible; at 1e-4 a tight one is taken for a contradiction
             polishing=False,  # fails on a third of the ticks, which are degenerate, and gains nothing
         )
         return solver._solver  # noqa: SLF001 - see the module's docstring
 
     def _proximal(self) -> scipy.sparse.csc_matrix:
-        weights = [self._settings.epsilon] * sum(self._shape.columns) + [0.0] * self._shape.steps
+        weights = [self._settings.epsilon] * (OPEN * self._shape.sessions) + [0.0] * self._shape.steps
         return scipy.sparse.csc_matrix(scipy.sparse.diags(weights, format="csc"))
 
     def _constraints(self) -> scipy.sparse.csc_matrix:
         """Box, cumulative sums, and what the end value's steps are paid for: ones, -1 for steps."""
         rows = np.zeros((self._rows - self._columns, self._columns))
-        first = 0
-        for s, columns in enumerate(self._shape.columns):
-            rows[s:, first : first + columns] = 1.0
-            first += columns
+        for s in range(self._shape.sessions):
+            rows[s:, OPEN * s : OPEN * (s + 1)] = 1.0
         if self._shape.steps:
-            rows[-1, first:] = -1.0
+            rows[-1, OPEN * self._shape.sessions :] = -1.0
         return scipy.sparse.csc_matrix(scipy.sparse.vstack([scipy.sparse.identity(self._columns), rows]))
 
 
@@ -171,7 +178,7 @@ class Qp:
 
     def __init__(self, make: Callable[[Shape, Pass], Workspace] = OsqpWorkspace) -> None:
         self._make = make
-        self._kept: tuple[Shape, Workspace] | None = None
+        self._kept: dict[Pass, tuple[Shape, Workspace]] = {}
 
     def solve(self, problem: Problem) -> Solution:
         """The plan of least carbon_g - end value, near `previous_power_kw` among near ties."""
@@ -180,49 +187,45 @@ class Qp:
     def _relaxed(self, problem: Problem) -> Solution:
         """The plan without the charger's least power."""
         links = chain(problem)
-        best_kwh = optimum(problem, links)
-        rank = ranked(problem, links)
-        if rank is None:
-            return answer(problem, links, best_kwh)  # nothing can be charged: nothing to solve
-        if rank.need.nonzeros() > MAX_NONZEROS:
-            return answer(problem, links, best_kwh, fallback=True)
-        bound_g = objective_g(problem, links, best_kwh)
-        exact = Certificate(best_kwh, prices(problem, links, rank.slots, best_kwh))
+        if len(problem.sessions) > MAX_SESSIONS:
+            return answer(problem, links, account(problem, links, optimum(problem, links)), fallback=True)
+        ranking = ranked(links, problem.previous_power_kw)
+        best = account(problem, links, optimum(problem, links, ranking))
+        if not any(ranking):  # nothing can be charged: nothing to solve
+            return answer(problem, links, best)
         iterations, raw_gap = 0, 0.0
         for settings in (FIRST, SECOND):
-            charge, tried = self._attempt(problem, links, rank, exact, settings)
+            plan, tried = self._attempt(problem, links, ranking, best, settings)
             iterations += tried
-            if charge is None:
+            if plan is None or not within_bounds(links, plan):
                 continue
-            off = gap(objective_g(problem, links, charge), bound_g)
+            off = gap(plan.objective_g, best.objective_g)
             raw_gap = off if settings is FIRST else raw_gap
             if off <= MAX_GAP:
-                made = Made(bound_g, raw_gap, iterations)
-                return answer(problem, links, charge, made)
-        made = Made(bound_g, raw_gap, iterations)
-        return answer(problem, links, best_kwh, made, fallback=True)
+                return answer(problem, links, plan, Made(best.objective_g, raw_gap, iterations))
+        made = Made(best.objective_g, raw_gap, iterations)
+        exact = account(problem, links, optimum(problem, links))  # as the exact solver gives it
+        return answer(problem, links, exact, made, fallback=True)
 
     def _attempt(
-        self, problem: Problem, links: Chain, rank: Ranked, exact: Certificate, settings: Pass
-    ) -> tuple[list[float] | None, int]:
-        """One pass: battery kWh per slot, or None where OSQP's answer cannot be used; iterations."""
-        shape, workspace = self._prepared(problem, rank, settings)
-        form = condense(problem, links, rank, shape, epsilon=settings.epsilon, snap=settings.snap)
-        attempt = workspace.solve(form, *start(links, rank, form, shape, exact))
+        self, problem: Problem, links: Chain, ranking: list[Ranking], best: Account, settings: Pass
+    ) -> tuple[Account | None, int]:
+        """One pass: the plan, or None where OSQP's answer cannot be used; iterations."""
+        form = condense(problem, links, ranking, best, settings.epsilon)
+        attempt = self._prepared(form.shape, settings).solve(form)
         if attempt.status != SOLVED or len(attempt.x) != len(form.cost):
-            self._kept = None
+            self._kept.pop(settings, None)
             return None, attempt.iterations
-        if not overrun_slots(form, shape, attempt.x) <= SNAP_SLOTS:  # a NaN is not
+        if confirmed(form, attempt.x, settings.hair_slots):
+            return best, attempt.iterations
+        if not overrun_slots(form, attempt.x) <= OVERRUN_SLOTS:  # a NaN is not
             return None, attempt.iterations
-        charge = charges_kwh(links, rank, form, shape, attempt.x, hair_slots=settings.hair_slots)
-        return charge if within_bounds(links, charge) else None, attempt.iterations
+        charge_kwh = charges_kwh(links, best, form, attempt.x, settings.hair_slots)
+        return account(problem, links, charge_kwh), attempt.iterations
 
-    def _prepared(self, problem: Problem, rank: Ranked, settings: Pass) -> tuple[Shape, Workspace]:
-        """The kept workspace where it fits, else a new one; the second pass is rare and has its own."""
-        if settings is FIRST and self._kept is not None and self._kept[0].fits(rank.need):
-            return self._kept
-        shape = roomy(rank.need, problem)
-        made = shape, self._make(shape, settings)
-        if settings is FIRST:
-            self._kept = made
-        return made
+    def _prepared(self, need: Shape, settings: Pass) -> Workspace:
+        """The pass's kept workspace where it fits, else a new one."""
+        kept = self._kept.get(settings)
+        if kept is None or kept[0] != need:
+            kept = self._kept[settings] = need, self._make(need, settings)
+        return kept[1]

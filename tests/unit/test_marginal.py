@@ -3,13 +3,14 @@
 import random
 import sys
 from dataclasses import replace
+from math import inf
 
 import pytest
 
 from plugd.planner import exact
-from plugd.planner.bounds import chain, end_value_g
+from plugd.planner.bounds import chain, end_value_g, session_charges_kwh
 from plugd.planner.marginal import USED_KWH, Explanation, MarginalSlot, Move, Price, explain
-from plugd.planner.prices import prices
+from plugd.planner.prices import binding, common, end_worth_g_per_kwh
 from plugd.planner.problem import Problem, ProblemSession
 from plugd.planner.qp import Qp
 from tests.unit import planner_problems as make
@@ -118,13 +119,17 @@ def test_where_both_sides_agree_it_is_the_dual_of_the_exact_plan() -> None:
         asked = make.everyday(rng)
         links = chain(asked)
         charge = exact.optimum(asked, links)
-        own = [
-            sorted((links.intensity_g_per_kwh[i], i) for i in range(a, b))
-            for a, b in zip(links.starts, links.starts[1:], strict=False)
-        ]
-        dual = prices(asked, links, own, charge)
-        later = [*dual.session_g_per_kwh[1:], dual.end_g_per_kwh]
-        for here, after, margin in zip(dual.session_g_per_kwh, later, told(asked).margins, strict=True):
+        totals = session_charges_kwh(links, charge)
+        above_kwh = sum(totals) - links.lower_kwh[-1]
+        end_g = end_worth_g_per_kwh(asked, above_kwh) * asked.efficiency
+        margins = []
+        for a, b in zip(links.starts, links.starts[1:], strict=False):
+            own = [(links.intensity_g_per_kwh[i], charge[i], links.room_kwh[i]) for i in range(a, b)]
+            used = max((g for g, x, _ in own if x > 1e-9), default=-inf)
+            margins.append((used, min((g for g, x, room in own if x < room - 1e-9), default=inf)))
+        dual = common(margins, binding(links, totals), end_g)
+        later = [*dual[1:], end_g]
+        for here, after, margin in zip(dual, later, told(asked).margins, strict=True):
             price = margin.floor_price
             if price.more_costs is not None and 0 < price.more_costs == pytest.approx(price.less_saves):
                 compared += 1

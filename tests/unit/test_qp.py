@@ -13,11 +13,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from plugd.planner import exact
+from plugd.planner.answer import account
 from plugd.planner.bounds import chain
-from plugd.planner.condensed import Condensed, Shape, condense, ranked, roomy
+from plugd.planner.condensed import OPEN, Condensed, Shape, condense
 from plugd.planner.exact import optimum
 from plugd.planner.problem import Problem, ProblemSession, Solution
 from plugd.planner.qp import FIRST, SECOND, SOLVED, UNSOUND, Attempt, OsqpWorkspace, Pass, Qp
+from plugd.planner.ranking import ranked
 from tests.unit import planner_problems as make
 
 GARBAGE = 2143289344.0  # what osqp fills x with where there is no answer
@@ -34,7 +36,7 @@ def test_carbon_is_within_a_twentieth_of_a_percent_of_exact_on_1000_random_probl
         gaps.append(solution.gap)
         assert make.faults(asked, solution) == [], number
         best = exact.solve(asked)
-        assert solution.bound_g == pytest.approx(best.bound_g), number
+        assert solution.bound_g == pytest.approx(best.bound_g, abs=1e-9), number
         assert -1e-9 <= solution.gap <= 5e-4, number
         if not asked.end_value:
             assert solution.carbon_g - best.carbon_g <= 5e-4 * max(abs(best.carbon_g), 1.0), number
@@ -80,7 +82,7 @@ def test_a_fortnight_of_ticks_in_one_workspace(power_kw: float, end_value: tuple
         energy_kwh -= 11.28
         previous = None if previous is None else (*previous[1:], (0.0,) * 22)
     firsts = [shape for shape, pass_ in made if pass_ is FIRST]
-    assert len(firsts) <= 5  # a workspace serves many nights
+    assert len(firsts) == 1  # a workspace serves many nights
 
 
 def counted() -> tuple[Qp, list[tuple[Shape, Pass]]]:
@@ -128,9 +130,9 @@ class Liar:
     attempt = Attempt(7, 1500, (GARBAGE,) * 1000)
 
     def __init__(self, shape: Shape, settings: Pass) -> None:
-        self.columns = sum(shape.columns) + shape.steps
+        self.columns = OPEN * shape.sessions + shape.steps
 
-    def solve(self, form: Condensed, x: list[float], y: list[float]) -> Attempt:
+    def solve(self, form: Condensed) -> Attempt:
         return Attempt(self.attempt.status, self.attempt.iterations, self.attempt.x[: self.columns])
 
 
@@ -197,15 +199,13 @@ def test_a_workspace_that_failed_is_dropped() -> None:
 
 def formed(asked: Problem) -> tuple[Shape, Condensed]:
     links = chain(asked)
-    rank = ranked(asked, links)
-    if rank is None:
-        raise ValueError("nothing to charge")
-    shape = roomy(rank.need, asked)
-    return shape, condense(asked, links, rank, shape, epsilon=FIRST.epsilon, snap=False)
+    ranking = ranked(links, asked.previous_power_kw)
+    form = condense(asked, links, ranking, account(asked, links, optimum(asked, links, ranking)), FIRST.epsilon)
+    return form.shape, form
 
 
-def zeros(form: Condensed) -> tuple[list[float], list[float]]:
-    return [0.0] * len(form.cost), [0.0] * len(form.lower)
+def from_zero(form: Condensed) -> Condensed:
+    return replace(form, x=[0.0] * len(form.cost), y=[0.0] * len(form.lower))
 
 
 @pytest.mark.parametrize("used", [False, True])
@@ -221,17 +221,17 @@ def test_unsound_numbers_never_reach_osqp_and_do_not_harm_the_next_solve(wrong: 
     }
     workspace = OsqpWorkspace(shape, FIRST)
     if used:
-        assert workspace.solve(form, *zeros(form)).status == SOLVED
-    assert workspace.solve(worse[wrong], *zeros(form)) == UNSOUND
-    assert workspace.solve(form, *zeros(form)).status == SOLVED
+        assert workspace.solve(from_zero(form)).status == SOLVED
+    assert workspace.solve(replace(worse[wrong], x=from_zero(form).x, y=from_zero(form).y)) == UNSOUND
+    assert workspace.solve(from_zero(form)).status == SOLVED
 
 
 @pytest.mark.parametrize("side", ["x", "y"])
 def test_a_start_that_is_not_finite_never_reaches_osqp(side: str) -> None:
     shape, form = formed(make.everyday(random.Random(5)))
-    x, y = zeros(form)
-    (x if side == "x" else y)[0] = nan
-    assert OsqpWorkspace(shape, FIRST).solve(form, x, y) == UNSOUND
+    form = from_zero(form)
+    (form.x if side == "x" else form.y)[0] = nan
+    assert OsqpWorkspace(shape, FIRST).solve(form) == UNSOUND
 
 
 def test_an_infeasible_form_is_told_by_status_alone() -> None:
@@ -239,7 +239,7 @@ def test_an_infeasible_form_is_told_by_status_alone() -> None:
     rows = len(form.cost)
     too_much = [0.0] * rows + [100.0] * (len(form.lower) - rows)
     attempt = OsqpWorkspace(shape, FIRST).solve(
-        replace(form, lower=too_much, upper=[*form.upper[:rows], *too_much[rows:]]), *zeros(form)
+        replace(from_zero(form), lower=too_much, upper=[*form.upper[:rows], *too_much[rows:]])
     )
     assert attempt.status not in (SOLVED, 0)
     assert any(isfinite(value) and abs(value) > 1e9 for value in attempt.x)  # finite, and nonsense
@@ -247,7 +247,7 @@ def test_an_infeasible_form_is_told_by_status_alone() -> None:
 
 def test_too_few_iterations_are_told() -> None:
     shape, form = formed(make.everyday(random.Random(6)))
-    attempt = OsqpWorkspace(shape, replace(FIRST, max_iter=1)).solve(form, *zeros(form))
+    attempt = OsqpWorkspace(shape, replace(FIRST, max_iter=1)).solve(from_zero(form))
     assert attempt.status != SOLVED
 
 
@@ -270,25 +270,27 @@ def test_pruned_columns_hold_every_exact_plan() -> None:
     for _ in range(1000):
         asked = replace(make.problem(rng), previous_power_kw=None)
         links = chain(asked)
-        rank = ranked(asked, links)
-        if rank is None:
-            continue
         best_kwh = optimum(asked, links)
-        for own, columns in zip(rank.slots, rank.need.columns, strict=True):
-            left_out = [slot for _, slot in own[columns:]]
-            pruned += len(left_out)
+        for s, own in enumerate(ranked(links)):
+            left_out = set(range(links.starts[s], links.starts[s + 1])) - set(own)
+            pruned += sum(links.room_kwh[slot] > 0 for slot in left_out)
             assert not any(best_kwh[slot] for slot in left_out)
     assert pruned > 10_000
 
 
-def test_a_workspace_fits_what_needs_no_more_columns_and_wastes_little() -> None:
-    shape = Shape((8, 7, 7), 0)
-    assert shape.fits(Shape((8, 3, 7), 0))
-    assert not shape.fits(Shape((9, 3, 7), 0))
-    assert not shape.fits(Shape((8, 7), 0))
-    assert not shape.fits(Shape((8, 7, 7), 1))
-    assert not Shape((22,) * 4, 0).fits(Shape((7,) * 4, 0))
-    assert Shape((22,) * 4, 0).fits(Shape((1, 9, 1, 1), 0))
+def test_a_session_has_its_columns_however_few_its_slots() -> None:
+    """One workspace serves a night to its last slot, and a day without a session."""
+    asked = make.everyday(random.Random(14), sessions=2)
+    away = replace(asked.sessions[0], intensity_g_per_kwh=(), slot_h=(), power_max_kw=(), daily_use_kwh=0.0)
+    planner, made = counted()
+    for elapsed in (0, 19, 20, 21):
+        weak = tuple(0.0 if k < elapsed else 10.0 for k in range(22))
+        first = replace(asked.sessions[0], power_max_kw=weak)
+        given = replace(asked, sessions=(first, away, asked.sessions[1]))
+        solution = planner.solve(given)
+        assert solution.solver == "osqp"
+        assert make.faults(given, solution) == []
+    assert [shape for shape, pass_ in made if pass_ is FIRST] == [Shape(3, 0)]
 
 
 def test_too_many_sessions_for_the_condensed_form_get_the_exact_plan() -> None:
