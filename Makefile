@@ -1,4 +1,5 @@
-# Every target sets up $(VENV) itself, from requirements.lock, with hashes. Needed first on a fresh Debian:
+# Every target sets up $(VENV) itself, from requirements.lock, with hashes; `bench` one of its own, with what it compares.
+# Needed first on a fresh Debian:
 #     sudo apt install make python3-venv
 
 PYTHON ?= python3
@@ -8,6 +9,10 @@ ARGS ?=
 # One stamp a Python version: `make test PYTHON=python3.13` after `make test` builds the environment anew.
 VERSION := $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null)
 READY := $(VENV)/ready-$(VERSION)
+BENCH ?= $(wildcard bench/*.py)
+BENCH_READY := $(VENV)-bench/ready-$(VERSION)
+LOCK := $(VENV)-lock/bin/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes \
+  --only-binary :all: --no-header --no-annotate --no-emit-index-url
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 export PIP_ROOT_USER_ACTION = ignore
 
@@ -33,20 +38,18 @@ check: $(READY) ## style, types, layers
 	$(VENV)/bin/mypy
 	$(VENV)/bin/lint-imports
 
-bench: $(READY) ## every bench/*.py, one after the other
-	@set -e; found=0; for bench in bench/*.py; do \
-	  if [ -e "$$bench" ]; then found=1; echo "== $$bench"; $(VENV)/bin/python "$$bench" $(ARGS); fi; \
-	done; if [ $$found = 0 ]; then echo 'make bench: there is no bench/*.py yet'; fi
+bench: $(BENCH_READY) ## every program in bench/ (BENCH=bench/planner.py ARGS=--quick: one, shorter)
+	@set -e; for bench in $(BENCH); do echo "== $$bench"; $(VENV)-bench/bin/python "$$bench" $(ARGS); done
 
-lock: python ## requirements.lock anew from pyproject.toml (ARGS=--upgrade for newer versions)
+lock: python ## both locks anew from pyproject.toml (ARGS=--upgrade for newer versions)
 	$(PYTHON) -m venv --clear $(VENV)-lock
 	$(VENV)-lock/bin/python -m pip install --quiet uv
-	$(VENV)-lock/bin/uv pip compile --quiet --universal --python-version 3.11 --all-extras --generate-hashes \
-	  --only-binary :all: --no-header --no-annotate --no-emit-index-url --output-file requirements.lock $(ARGS) pyproject.toml
+	$(LOCK) $(addprefix --extra ,can web study demo dev) --output-file requirements.lock $(ARGS) pyproject.toml
+	$(LOCK) --extra bench --constraint requirements.lock --output-file requirements-bench.lock $(ARGS) pyproject.toml
 	rm -rf $(VENV)-lock
 
 clean: ## remove the environment and every cache
-	rm -rf $(VENV) $(VENV)-lock build dist *.egg-info hil/*.egg-info
+	rm -rf $(VENV) $(VENV)-bench $(VENV)-lock build dist *.egg-info hil/*.egg-info
 	rm -rf .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
@@ -58,8 +61,10 @@ python:
 	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null \
 	  || { echo "'$(PYTHON)' cannot make a virtual environment: sudo apt install make python3-venv" >&2; exit 1; }
 
-$(READY): requirements.lock pyproject.toml | python
-	$(PYTHON) -m venv --clear $(VENV)
-	$(VENV)/bin/python -m pip install --quiet --require-hashes --only-binary :all: --requirement requirements.lock
-	$(VENV)/bin/python -m pip install --quiet --no-deps --no-build-isolation --no-index --editable .
+$(READY): requirements.lock
+$(BENCH_READY): requirements-bench.lock
+$(READY) $(BENCH_READY): pyproject.toml | python
+	$(PYTHON) -m venv --clear $(@D)
+	$(@D)/bin/python -m pip install --quiet --require-hashes --only-binary :all: --requirement $(filter %.lock,$^)
+	$(@D)/bin/python -m pip install --quiet --no-deps --no-build-isolation --no-index --editable .
 	@touch $@

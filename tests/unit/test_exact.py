@@ -22,10 +22,10 @@ def one(intensity: tuple[float, ...], energy_kwh: float, minimum_kwh: float) -> 
     return Problem(energy_kwh, 10.0, 1.0, (own,))
 
 
-def test_the_optimum_is_that_of_highs_on_4000_random_problems() -> None:
+def test_the_optimum_is_that_of_highs_on_5000_random_problems() -> None:
     rng = random.Random(20230102)
     infeasible = 0
-    for number in range(4000):
+    for number in range(5000):
         asked = make.problem(rng)
         solution = exact.solve(asked)
         best_g = make.oracle_g(asked)
@@ -41,8 +41,8 @@ def test_the_optimum_is_that_of_highs_on_4000_random_problems() -> None:
         assert make.faults(asked, solution) == [], number
         assert make.dearer_before_cheaper(asked, solution.power_kw) == [], number
         assert solution.gap == solution.raw_gap == solution.iterations == 0
-    sys.stdout.write(f"4000 problems, {infeasible} of them repaired\n")
-    assert 1000 < infeasible < 3000  # both kinds are there
+    sys.stdout.write(f"5000 problems, {infeasible} of them repaired\n")
+    assert 1500 < infeasible < 3500  # both kinds are there
 
 
 @settings(max_examples=300, deadline=None)

@@ -161,26 +161,37 @@ def extras() -> dict[str, list[str]]:
     return found
 
 
-def locked() -> dict[str, list[str]]:
-    """The lock's lines by package: each version, marker and hash."""
+LOCKS = "requirements.lock", "requirements-bench.lock"
+
+
+def locked(name: str) -> dict[str, list[str]]:
+    """A lock's lines by package: each version, marker and hash."""
     packages: dict[str, list[str]] = {}
-    for entry in re.split(r"(?m)^(?=\w)", (ROOT / "requirements.lock").read_text()):
+    for entry in re.split(r"(?m)^(?=\w)", (ROOT / name).read_text()):
         if entry.strip():
             packages.setdefault(entry.split("==")[0], []).append(entry)
     return packages
 
 
-def test_the_lock_holds_every_dependency_with_hashes() -> None:
-    packages = locked()
-    wanted = [*PROJECT["project"]["dependencies"], *(each for extra in extras().values() for each in extra)]
+@pytest.mark.parametrize("name", LOCKS)
+def test_the_lock_holds_every_dependency_with_hashes(name: str) -> None:
+    packages, bench = locked(name), name == "requirements-bench.lock"
+    chosen = [each for extra, wanted in extras().items() for each in wanted if (extra == "bench") == bench]
+    wanted = [*PROJECT["project"]["dependencies"], *chosen]
     assert {re.split(r"[<>=]", each)[0] for each in wanted} <= packages.keys()
     for entries in packages.values():
         for entry in entries:
             assert re.match(r"[\w.-]+==[\w.]+ (; [^\n]+ )?\\\n(    --hash=sha256:[0-9a-f]{64}( \\)?\n)+\Z", entry)
 
 
-def test_the_lock_names_no_host_and_no_path() -> None:
-    assert not re.search(r"://|/|@|--(index|extra|find|trusted)", (ROOT / "requirements.lock").read_text())
+@pytest.mark.parametrize("name", LOCKS)
+def test_the_lock_names_no_host_and_no_path(name: str) -> None:
+    assert not re.search(r"://|/|@|--(index|extra|find|trusted)", (ROOT / name).read_text())
+
+
+def test_the_bench_times_the_versions_that_are_tested() -> None:
+    tested, timed = (locked(name) for name in LOCKS)
+    assert all(timed[package] == tested[package] for package in tested.keys() & timed.keys())
 
 
 # -- the layers and the rules ---------------------------------------------------------------------

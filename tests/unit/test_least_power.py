@@ -5,6 +5,7 @@ import statistics
 import sys
 import time
 from dataclasses import replace
+from math import ceil, floor
 
 import numpy as np
 import pytest
@@ -13,7 +14,8 @@ from hypothesis import strategies as st
 from scipy.optimize import LinearConstraint, milp
 
 from plugd.planner import exact
-from plugd.planner.bounds import Chain, chain
+from plugd.planner.answer import account
+from plugd.planner.bounds import Chain, chain, repair
 from plugd.planner.exact import Exact
 from plugd.planner.least_power import honoured
 from plugd.planner.problem import Problem, ProblemSession, Solution, Solver
@@ -111,6 +113,55 @@ def test_it_is_kept_by_both_solvers_on_any_problem_and_no_ceiling_is_passed(rng:
         assert short == pytest.approx(max(0.0, own.minimum_kwh - ends), abs=1e-8)
     if short_kwh(asked, solution) < 1e-6:
         assert solution.gap >= -1e-9
+
+
+def on_or_off(rng: random.Random) -> Problem:
+    """Equal slots, each wholly on or off."""
+    power_kw = rng.choice((10.0, 7.4, 3.6, 2.3))
+    asked = make.everyday(rng, power_kw=power_kw, sessions=rng.choice((1, 2, 4)), elapsed=rng.randrange(22))
+    sessions = tuple(
+        replace(
+            own,
+            intensity_g_per_kwh=make.prices(rng, 22),
+            power_min_kw=power_kw,
+            minimum_kwh=rng.choice((25.0, rng.uniform(5, 40))),
+            ceiling_kwh=rng.choice((40.0, rng.uniform(25, 50))),
+            daily_use_kwh=rng.choice((11.28, rng.uniform(0, 20))),
+        )
+        for own in asked.sessions
+    )
+    return replace(asked, sessions=sessions)
+
+
+def whole_slots(asked: Problem, links: Chain) -> Chain | None:
+    """Bounds that count whole slots, None where they cross: what the chain solver then gives is whole slots."""
+    full_kwh = max(links.room_kwh)
+    lower = [full_kwh * ceil(kwh / full_kwh - 1e-9) for kwh in links.lower_kwh]
+    upper = [full_kwh * floor(kwh / full_kwh + 1e-9) for kwh in links.upper_kwh]
+    low, high = repair(lower, upper, links.session_room_kwh)
+    if any(abs(kept - wanted) > 1e-9 for kept, wanted in zip((*low, *high), (*lower, *upper), strict=True)):
+        return None
+    return replace(links, lower_kwh=low, upper_kwh=high)
+
+
+def test_on_or_off_is_highs_s_optimum_on_300_random_problems() -> None:
+    """By the chain solver alone, its bounds rounded to whole slots: then every slot of its plan is whole."""
+    rng = random.Random(12)
+    compared = impossible = 0
+    while compared < 300:
+        asked = on_or_off(rng)
+        links = chain(asked)
+        best_g, rounded = milp_g(asked), whole_slots(asked, links)
+        assert (best_g is None) == (rounded is None), compared
+        if best_g is None or rounded is None:
+            impossible += 1
+            continue
+        compared += 1
+        charge_kwh = exact.optimum(asked, rounded)
+        assert all(x < 1e-9 or x > room - 1e-9 for x, room in zip(charge_kwh, links.room_kwh, strict=True)), compared
+        assert account(asked, links, charge_kwh).objective_g == pytest.approx(best_g, rel=1e-6, abs=1e-4), compared
+    sys.stdout.write(f"{compared} compared, {impossible} without any such plan\n")
+    assert impossible > 10
 
 
 def test_on_200_random_problems_it_is_within_half_a_percent_of_highs() -> None:

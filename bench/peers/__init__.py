@@ -1,0 +1,1 @@
+"""The planner's peers: the same instances and the same answer, by other solvers."""
