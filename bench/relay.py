@@ -33,7 +33,6 @@ from statistics import fmean
 
 import end_value
 from end_value import Year
-
 from plugd import sessions
 from plugd.controller import Controller
 from plugd.domain import Capability, Decision, Household, Memory, Observation, Overrides, RelayRules, Switching
