@@ -223,7 +223,7 @@ class Cycle:
         # An "on" that is already on needs no word; an "off" has to be taken once, to arm or disarm its timer.
         if as_wanted and (wanted == Relay(True) or (same and self.switch.failures == 0)):
             obeyed = same and self.switch.failures > 0 and not was_on  # without an answer, as is seen only now
-            self.told = wanted
+            self.told = self.told if same else wanted  # a setpoint told earlier ends when it was told to
             self.switch.succeeded()
             self._clear("plug_refuses")
             if obeyed:

@@ -21,4 +21,5 @@ def charger(config: Config, capability: Capability, clock: Clock) -> CanElcon:
         config.car.efficiency,
         soc,
         60.0 * config.car.soc_max_age_min,
+        can.period_s,
     )

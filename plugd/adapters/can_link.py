@@ -20,7 +20,7 @@ MOST_FRAMES = 200
 """Read at once. A bus that brings more a second is babbling; what is left is read the next time, or lost."""
 MOST_ERRORS = 20
 """Unreadable frames at once that are noise; more are a bus that does not work."""
-NOTHINGS = 8
+NOTHINGS = 4
 """A serial adapter confirms every command on a line of its own, which python-can takes for nothing to read."""
 REOPEN_S = (1.0, 2.0, 5.0, 15.0, 60.0)
 DEAD_S = 60.0

@@ -61,6 +61,8 @@ class CanSection(Section):
     interface: Literal["socketcan", "slcan", "udp_multicast"] = "socketcan"
     channel: Text = "can0"
     bitrate: Annotated[int, Field(ge=10_000, le=1_000_000)] = 250_000
+    period_s: Annotated[float, Field(ge=0.1, le=2)] = 1.0
+    """Between two commands; without one for 5 s the charger stops."""
     max_voltage_v: Annotated[float, Field(ge=10, le=1000)] | None = None
     max_current_a: Annotated[float, Field(ge=0.5, le=500)] | None = None
     soc: Literal["pylontech", "orion"] | None = None
