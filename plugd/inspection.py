@@ -21,7 +21,7 @@ from plugd.planner.marginal import Explanation, explain
 from plugd.planner.nights import layout
 from plugd.planner.problem import Problem, Solution, Solver
 from plugd.planner.qp import Qp
-from plugd.ports import Clock, Plug
+from plugd.ports import Clock, Plug, Tended
 from plugd.units import slot_start, to_w
 
 SETTLE = timedelta(seconds=6)
@@ -51,11 +51,13 @@ def _connected(config: Config) -> Iterator[tuple[MqttConnection, Plug, Clock, Ma
     others = connection.subscribe((f"{daemon.base_topic(config)}/availability", Retained.REPLAYED))
     connection.start()
     try:
-        if not connection.wait_connected(daemon.BROKER_PATIENCE_S):
+        if not connection.wait_connected(daemon.BROKER_PATIENCE_S) and not isinstance(plug, Tended):
             raise PlugTimeout(f"{connection.refusal or 'no answer'}; is it running, and is [broker] right?")
         connection.flush()
         yield connection, plug, clock, others
     finally:
+        if isinstance(plug, Tended):
+            plug.close()
         connection.close()
         clock.close()
 
@@ -77,8 +79,12 @@ def switch(config: Config, do: str) -> str:
         if do == "show":
             return _told(plug.read())
         running = _daemon_runs(others)
+        if isinstance(plug, Tended) and running:
+            raise PlugRefused("the running plugd tells the charger what to do every second; stop it first")
         plug.set(Relay(do == "on", held=do == "off"))
         told = _told(_settled(plug, clock, connection))
+        if isinstance(plug, Tended):
+            return f"{told}; it is stopped again now: without a word every second it gives nothing"
         if running:
             return f"{told}; the running plugd takes this as a press of the plug's button"
         return f"{told}; it stays so until somebody switches it, or plugd starts"
@@ -89,7 +95,8 @@ def _settled(plug: Plug, clock: Clock, connection: MqttConnection) -> Reading:
     until = clock.now() + SETTLE
     reading = plug.read()
     while reading.on and not reading.power_kw and clock.now() < until:
-        clock.wait(until, connection)
+        clock.wait(min(until, plug.due() or until), connection)
+        plug.tend(clock.now())
         reading = plug.read()
     return reading
 
@@ -177,6 +184,8 @@ def _plug(config: Config, click: bool) -> str:
         if click:
             told = _clicked(plug, clock, connection, _daemon_runs(others))
         cover = "" if plug.capability.dead_man else "; no timer of its own: it stays off if plugd dies"
+        if isinstance(plug, Tended):
+            cover = "; it stops by itself 5 s after plugd's last word, so a dead plugd leaves it OFF"
         return told + cover + "".join(f"; {w.text}" for w in plug.warnings)
 
 
@@ -228,7 +237,7 @@ def check(config: Config, click: bool = False) -> Iterator[Finding]:
     ok: dict[str, bool] = {}
     for what, look in CHECKS:
         try:
-            if not ok.get(NEEDS.get(what, ""), True):
+            if not ok.get(NEEDS.get(what, ""), True) and config.plug.kind != "can_elcon":
                 raise PlugdError(f"cannot be asked without the {NEEDS[what]}; mend that first")
             text = look(config, click)
         except PlugdError as error:
