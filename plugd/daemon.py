@@ -75,19 +75,19 @@ def plug_for(config: Config, connection: MqttConnection, clock: Clock) -> Plug:
         case "tasmota":
             return Tasmota(connection, clock, config.plug.topic or "", config.plug.power_kw, config.plug.dead_man_s)
         case "can_elcon":
-            return _can_charger(config, clock)
+            return _can_charger(config, clock=clock)
         case kind:
             raise ConfigError(f'plug.kind = "{kind}": not supported yet; use "tasmota"')
 
 
 def _can_charger(config: Config, clock: Clock) -> Plug:
-    """The charger on CAN. Raises ConfigError where its libraries are not installed, or a DBC cannot be read."""
+    """The charger on CAN. Raises ConfigError without its libraries, its battery's limits, or a DBC that was named."""
     if missing := [name for name in ("cantools", "msgpack", "serial") if find_spec(name) is None]:
         remedy = "pip install 'plugd[can]', or all of requirements.lock"
         raise ConfigError(f'plug.kind = "can_elcon": needs {" and ".join(missing)}; {remedy}')
     from plugd.adapters.can_charger import charger  # only where it is wanted: others need not have its libraries
 
-    return charger(config, capability_of(config), clock)
+    return charger(config, capability_of(config), clock=clock)
 
 
 def source_for(config: Config) -> Neso:

@@ -178,10 +178,6 @@ MODULATING = ("can_elcon",)
 """Kinds that take a power, and not only on and off."""
 
 
-def _is_can(config: Config) -> bool:
-    return config.plug.kind == "can_elcon"
-
-
 IMPOSSIBLE: tuple[tuple[str, Callable[[Config], bool], str], ...] = (
     (
         "plug.topic",
@@ -197,16 +193,6 @@ IMPOSSIBLE: tuple[tuple[str, Callable[[Config], bool], str], ...] = (
         "plug.power_kw",
         lambda c: c.plug.kind in MODULATING and c.plug.power_kw < kw_of(c.plug.min_current_a, c.plug.mains_voltage_v),
         "is less than plug.min_current_a gives at plug.mains_voltage_v; raise it",
-    ),
-    (
-        "can.max_voltage_v",
-        lambda c: _is_can(c) and c.can.max_voltage_v is None,
-        "write the highest voltage that the battery bears, from its own papers: the charger is never asked for more",
-    ),
-    (
-        "can.max_current_a",
-        lambda c: _is_can(c) and c.can.max_current_a is None,
-        "write the highest charging current that the battery bears, from its own papers",
     ),
     (
         "can.soc",

@@ -37,7 +37,7 @@ def test_the_example_is_the_defaults() -> None:
 
 def test_the_example_with_every_comment_opened_is_a_configuration_too() -> None:
     text = re.sub(r"(?m)^# (\w+ = )", r"\1", EXAMPLE.read_text())
-    text = text.replace('postcode = "SW1"\n', "").replace("tls = false", "tls = true")
+    text = text.replace('postcode = "SW1"\n', "").replace("tls = false", "tls = true").replace('soc = "pylontech"\n', "")
     config = parse(text)
     assert config.home.region_id == 13
     assert config.nights.ready_by == time(7, 0)
@@ -152,6 +152,19 @@ REFUSED = [
     ("nights.morning_minimum_pct = 0.5", "nights.morning_minimum_pct = 0.5", "write percent: 50"),
     ("relay.min_on_min = 900", "relay.min_on_min = 900", "looks like seconds; write 15"),
     ("can.bitrate = 250", "can.bitrate = 250", "looks like kbit/s; write 250000"),
+    # a charger
+    ("plug.min_current_a = 5", "plug.min_current_a = 5", "must be at least 6"),
+    ("plug.mains_voltage_v = 400", "plug.mains_voltage_v = 400", "must be at most 260"),
+    ('[plug]\nkind = "can_elcon"\nmin_current_a = 16', "plug.min_current_a = 16.0", "more than plug.max_current_a"),
+    ('[plug]\nkind = "can_elcon"\npower_kw = 1.2', "plug.power_kw = 1.2", "less than plug.min_current_a gives"),
+    ('can.interface = "vcan"', 'can.interface = "vcan"', "did you mean 'slcan'?"),
+    ("can.period_s = 5", "can.period_s = 5", "must be at most 2"),
+    ("can.max_voltage_v = 5000", "can.max_voltage_v = 5000", "must be at most 1000"),
+    ("can.max_current_a = 0", "can.max_current_a = 0", "must be at least 0.5"),
+    ('can.soc = "pylon"', 'can.soc = "pylon"', "did you mean 'pylontech'?"),
+    ('[can]\nsoc = "orion"\nsoc_dbc = "a"\nsoc_signal = "b"', 'can.soc = "orion"', "stands beside can.soc_dbc"),
+    ('can.soc_signal = "SOC"', 'can.soc_signal = "SOC"', "belong together"),
+    ('can.soc_dbc = "own.dbc"', "can.soc_signal", "belong together"),
     # out of range
     ("car.capacity_kwh = 0", "car.capacity_kwh = 0", "must be at least 1"),
     ("car.capacity_kwh = 600", "car.capacity_kwh = 600", "must be at most 500"),
