@@ -11,11 +11,11 @@ READY := $(VENV)/ready-$(VERSION)
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 export PIP_ROOT_USER_ACTION = ignore
 
-.PHONY: help demo test weeks check bench lock clean
+.PHONY: help demo test weeks can-week can-fuzz check bench lock clean
 .DELETE_ON_ERROR:
 
 help: ## what can be made
-	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-6s %s\n", $$1, $$2 }' Makefile
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' Makefile
 	@echo 'ARGS="..." is passed on; PYTHON=python3.13 chooses another Python.'
 
 demo: $(READY) ## a week of charging, simulated, in about a minute
@@ -26,6 +26,12 @@ test: $(READY) ## every test this machine can run, and a list of what it could n
 
 weeks: $(READY) ## the README's four weeks on measured intensity ($PLUGD_DATA), and that they hold
 	$(VENV)/bin/python tests/four_weeks.py
+
+can-week: $(READY) ## a week of the demo with the charger on CAN: no morning missed
+	$(VENV)/bin/python tests/can_week.py
+
+can-fuzz: $(READY) ## a million frames at random against the charger on CAN
+	$(VENV)/bin/python -m tests.fuzz_can $(ARGS)
 
 check: $(READY) ## style, types, layers
 	$(VENV)/bin/ruff check

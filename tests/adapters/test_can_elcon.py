@@ -20,6 +20,7 @@ from plugd.ports import Tended
 from plugd.study.world import Battery
 from plugd_hil.car import CarAtHome
 from plugd_hil.elcon import Rating
+from tests import fuzz_can
 from tests.can_world import CHARGER, LIMITS, CanWorld
 
 NOON = datetime(2023, 1, 2, 12, tzinfo=UTC)
@@ -403,6 +404,13 @@ def test_no_command_above_the_batterys_limits_whatever_arrives(
         assert control in (0, 1)
         assert control == 0 or amps == 0.0
     world.bus.shutdown()
+
+
+def test_a_few_thousand_of_the_million_frames_at_random() -> None:
+    outcome = fuzz_can.run(5_000, seed=1)
+    assert outcome.over == []
+    assert outcome.charging > 0
+    assert outcome.dropped > 0
 
 
 def test_a_relays_words_are_understood(world: CanWorld) -> None:
