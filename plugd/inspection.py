@@ -40,10 +40,10 @@ class Finding:
 
 
 @contextmanager
-def _connected(config: Config) -> Iterator[tuple[MqttConnection, Plug, Clock, Mailbox]]:
+def _connected(config: Config, for_plug: bool = True) -> Iterator[tuple[MqttConnection, Plug, Clock, Mailbox]]:
     """A connection of its own beside the daemon's, the plug over it, and the daemon's availability.
 
-    Raises PlugTimeout without a broker.
+    Raises PlugTimeout without a broker, but for a plug that is not reached through one.
     """
     clock = SystemClock()
     connection = daemon.connect(config, client=f"plugd-{config.name}-{os.getpid()}")
@@ -51,7 +51,8 @@ def _connected(config: Config) -> Iterator[tuple[MqttConnection, Plug, Clock, Ma
     others = connection.subscribe((f"{daemon.base_topic(config)}/availability", Retained.REPLAYED))
     connection.start()
     try:
-        if not connection.wait_connected(daemon.BROKER_PATIENCE_S) and not isinstance(plug, Tended):
+        apart = for_plug and isinstance(plug, Tended)
+        if not connection.wait_connected(1.0 if apart else daemon.BROKER_PATIENCE_S) and not apart:
             raise PlugTimeout(f"{connection.refusal or 'no answer'}; is it running, and is [broker] right?")
         connection.flush()
         yield connection, plug, clock, others
@@ -174,7 +175,7 @@ def _forecast(config: Config, click: bool) -> str:
 
 
 def _broker(config: Config, click: bool) -> str:
-    with _connected(config):
+    with _connected(config, for_plug=False):
         return f"{config.broker.host}:{config.broker.port} lets us in"
 
 

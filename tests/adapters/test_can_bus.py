@@ -7,7 +7,7 @@ from datetime import timedelta
 
 import pytest
 
-from plugd import daemon
+from plugd import daemon, inspection
 from plugd.adapters.can_elcon import CanElcon
 from plugd.adapters.can_link import Place
 from plugd.adapters.clock import SystemClock
@@ -101,6 +101,23 @@ def test_a_bus_that_is_not_there_is_said_and_tried_again(
         charger.read()
     assert [fault.code for fault in charger.warnings] == ["can_bus"]
     charger.close()
+
+
+# -- by hand --------------------------------------------------------------------------------------
+
+
+def test_by_hand_it_is_shown_switched_and_checked_without_a_broker(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(daemon, "BROKER_PATIENCE_S", 0.1)
+    stub, channel = stub_at("--bus", f"239.74.163.2:{free_port()}", "--volts", "380", "380", "--efficiency", "0.9")
+    with stub:
+        text = WHOLE.replace("[can]", f'[can]\ninterface = "udp_multicast"\nchannel = "{channel}"\nperiod_s = 0.1')
+        config = parse(f"{text}[broker]\nport = 1\n")
+        assert inspection.switch(config, "show").startswith("off, 0 W")
+        assert inspection.switch(config, "on").endswith("without a word every second it gives nothing")
+        checks = dict(inspection.CHECKS)
+        assert "a dead plugd leaves it OFF" in checks["plug"](config, False)
+        with pytest.raises(PlugTimeout, match=r"is \[broker\] right"):
+            checks["broker"](config, False)
 
 
 # -- from the configuration -----------------------------------------------------------------------

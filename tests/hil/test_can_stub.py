@@ -7,6 +7,7 @@ from pathlib import Path
 
 import can
 import pytest
+from can.interfaces.slcan import slcanBus
 
 from plugd.study.world import Battery
 from plugd_hil import demo
@@ -94,7 +95,7 @@ def wire() -> Iterator[SlcanWire]:
 
 
 def test_after_its_adapter_has_answered_all_that_was_sent_is_there(wire: SlcanWire) -> None:
-    bus = can.Bus(interface="slcan", channel=wire.channel, bitrate=250_000, sleep_after_open=0.0)
+    bus = slcanBus(wire.channel, bitrate=250_000, sleep_after_open=0.0)
     for _ in range(20):
         bus.send(command(400.0, 5.0))
     assert bus.get_version(5.0) == (10, 13)
