@@ -13,7 +13,9 @@ from plugd import perception
 from plugd.adapters.hub import MqttHub, Topics
 from plugd.adapters.mqtt import Broker, MqttConnection
 from plugd.adapters.neso import Neso
+from plugd.adapters.shelly2 import Shelly2
 from plugd.adapters.store import SqliteStore
+from plugd.adapters.switched import SwitchedPlug
 from plugd.adapters.tasmota import Tasmota
 from plugd.config import Config, household
 from plugd.controller import Controller
@@ -58,9 +60,14 @@ def capability_of(config: Config) -> Capability:
 
 def plug_for(config: Config, connection: MqttConnection, clock: Clock) -> Plug:
     """The plug of the configured kind. Raises ConfigError for one that is not built yet."""
-    match config.plug.kind:
+    plug = config.plug
+    topic = plug.topic or ""
+    match plug.kind:
         case "tasmota":
-            return Tasmota(connection, clock, config.plug.topic or "", config.plug.power_kw, config.plug.dead_man_s)
+            return Tasmota(connection, clock, topic, plug.power_kw, plug.dead_man_s)
+        case "shelly2":
+            dialect = Shelly2(topic, reply_topic=f"{base_topic(config)}/{connection.name}")
+            return SwitchedPlug(connection, clock, topic, dialect, plug.power_kw, plug.dead_man_s)
         case kind:
             raise ConfigError(f'plug.kind = "{kind}": not supported yet; use "tasmota"')
 

@@ -35,6 +35,7 @@ from plugd_hil.account import Night, foresight, nights, per_kwh, read_ledger, un
 from plugd_hil.broker import HOST, BrokerProcess, any_broker
 from plugd_hil.children import Children
 from plugd_hil.conductor import Conductor
+from plugd_hil.plug import DIALECTS
 from plugd_hil.synthetic import synthetic_year
 
 POWER_KW = 2.3
@@ -329,7 +330,7 @@ def _parsed(arguments: Sequence[str] | None) -> Options:
     parser.add_argument("--from", dest="start", metavar="DATE", help="first day; it starts at local noon")
     parser.add_argument("--seed", type=int, default=0, help="another driver, other forecast errors")
     parser.add_argument("--source", default=SYNTHETIC, metavar="synthetic|FILE", help="whose intensity")
-    parser.add_argument("--plug", default="tasmota", choices=("tasmota",), help="which dialect the plug speaks")
+    parser.add_argument("--plug", default="tasmota", choices=tuple(DIALECTS), help="which dialect the plug speaks")
     parser.add_argument("--soc", default="arrival", choices=("arrival", "never"), help="when the car tells its SOC")
     parser.add_argument("--json", action="store_true", help="one JSON document, and nothing else")
     asked = parser.parse_args(arguments)

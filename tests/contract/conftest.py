@@ -6,11 +6,11 @@ from typing import cast
 import pytest
 
 from plugd_hil.broker import Mosquitto
-from tests.contract.rigs import RIGS, WITH_DEAD_MAN, Rig
+from tests.contract.rigs import KINDS, RIGS, WITH_DEAD_MAN, Rig
 
 
 def _params(names: tuple[str, ...]) -> list[object]:
-    marks = {"tasmota": [pytest.mark.requires("mosquitto")]}
+    marks = {kind: [pytest.mark.requires("mosquitto")] for kind in KINDS}
     return [pytest.param(name, marks=marks.get(name, []), id=name.replace(" ", "-")) for name in names]
 
 

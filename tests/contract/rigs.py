@@ -8,15 +8,19 @@ from datetime import timedelta
 from pathlib import Path
 from typing import Protocol
 
+from plugd import daemon
 from plugd.adapters.clock import SystemClock
 from plugd.adapters.mqtt import Broker, MqttConnection
-from plugd.adapters.tasmota import Tasmota
+from plugd.config import parse
 from plugd.domain import Reading, Relay, Setpoint, Wanted
 from plugd.ports import Clock, Plug
 from plugd_hil.broker import Mosquitto
 from tests.fakes import FakeCharger, FakeClock, FakePlug
 
 HIL = Path(__file__).resolve().parents[2] / "hil"
+KINDS = ("tasmota", "shelly2")
+POWER_KW = 50.0
+"""Then a second of charging shows on a meter that counts in Wh."""
 DEAD_MAN_S = 1.0
 """Short enough to be lived through, long enough for an answer."""
 
@@ -129,11 +133,11 @@ class StubPlug:
         return self._process.returncode
 
 
-class TasmotaRig:
-    """The Tasmota adapter, a real broker, and the stub plug in a process of its own. Time is real."""
+class StubRig:
+    """An adapter, a real broker, and the stub plug in a process of its own. Time is real."""
 
-    def __init__(self, stub: StubPlug, plug: Tasmota, clock: SystemClock, connection: MqttConnection) -> None:
-        self.plug: Plug = plug
+    def __init__(self, stub: StubPlug, plug: Plug, clock: SystemClock, connection: MqttConnection) -> None:
+        self.plug = plug
         self.clock: Clock = clock
         self.dead_man_s = DEAD_MAN_S
         self.connection = connection
@@ -149,12 +153,15 @@ class TasmotaRig:
 
     def mute(self) -> None:
         """Its Wi-Fi hangs."""
-        self.stub.tell("mute")
-        self.clock.wait(self.clock.now() + timedelta(seconds=0.2))
+        self._tell("mute")
 
     def jam(self) -> None:
-        """Somebody has locked it."""
-        self.connection.publish("cmnd/ev-plug/PowerLock", b"1")
+        """Its relay is stuck, or locked."""
+        self._tell("jam")
+
+    def _tell(self, order: str) -> None:
+        self.stub.tell(order)
+        self.clock.wait(self.clock.now() + timedelta(seconds=0.2))
 
     def pause(self, until: Callable[[], bool], longest_s: float) -> None:
         """Until a message makes it so."""
@@ -175,20 +182,28 @@ def fake_charger(_broker: Callable[[], Mosquitto]) -> Iterator[Rig]:
     yield FakeRig(FakeCharger(clock), clock)
 
 
-def tasmota(broker: Callable[[], Mosquitto]) -> Iterator[Rig]:
-    """90 kW behind the socket: then a second of charging shows on a meter that counts in Wh."""
-    at = broker()
-    stub = StubPlug(at, "--power", "90", "--soc", "50")
-    clock = SystemClock()
-    connection = MqttConnection(Broker(at.host, at.port), "plugd-contract")
-    plug = Tasmota(connection, clock, "ev-plug", 90.0, DEAD_MAN_S)
-    connection.start()
-    connection.wait_connected(5.0)
-    yield TasmotaRig(stub, plug, clock, connection)
-    connection.close()
-    clock.close()
-    stub.close()
+def stubbed(kind: str) -> Callable[[Callable[[], Mosquitto]], Iterator[Rig]]:
+    """The adapter of this kind, as the daemon builds it, and its stub with the same configuration."""
+
+    def rig(broker: Callable[[], Mosquitto]) -> Iterator[Rig]:
+        at = broker()
+        hasty_telling = () if kind == "tasmota" else ("--tele-period", "1")
+        stub = StubPlug(at, "--dialect", kind, "--power", str(POWER_KW), "--soc", "50", *hasty_telling)
+        clock = SystemClock()
+        connection = MqttConnection(Broker(at.host, at.port), "plugd-contract")
+        # The configuration asks for no dead-man of a second, which no house could live with.
+        config = parse(f'[plug]\nkind = "{kind}"\ntopic = "ev-plug"\npower_kw = {POWER_KW}\n')
+        hasty = config.plug.model_copy(update={"dead_man_s": DEAD_MAN_S})
+        adapter = daemon.plug_for(config.model_copy(update={"plug": hasty}), connection, clock)
+        connection.start()
+        connection.wait_connected(5.0)
+        yield StubRig(stub, adapter, clock, connection)
+        connection.close()
+        clock.close()
+        stub.close()
+
+    return rig
 
 
-RIGS = {"fake plug": fake_plug, "fake charger": fake_charger, "tasmota": tasmota}
-WITH_DEAD_MAN = ("fake plug", "tasmota")
+RIGS = {"fake plug": fake_plug, "fake charger": fake_charger, **{kind: stubbed(kind) for kind in KINDS}}
+WITH_DEAD_MAN = ("fake plug", "tasmota", "shelly2")
