@@ -7,6 +7,7 @@ from typing import TypeGuard
 
 HALF_HOUR = timedelta(minutes=30)
 SLOT_H = 0.5
+NOMINAL_V = 230.0
 
 
 def require_utc(moment: datetime) -> datetime:
@@ -69,6 +70,16 @@ def from_wh(energy_wh: float) -> float:
 def from_wmin(energy_wmin: float) -> float:
     """Watt-minutes to kWh."""
     return energy_wmin / 60000.0
+
+
+def kw_of(current_a: float) -> float:
+    """The power of a current at the nominal voltage, one phase."""
+    return current_a * NOMINAL_V / 1000.0
+
+
+def whole_amps(power_kw: float) -> int:
+    """The whole amperes that such a power can have at most."""
+    return math.floor(power_kw * 1000.0 / NOMINAL_V + 1e-6)
 
 
 def to_w(power_kw: float) -> float:

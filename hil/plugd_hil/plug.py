@@ -23,7 +23,9 @@ from plugd.study.world import Battery, Driver
 from plugd.units import HALF_HOUR, from_pct, next_slot, require_utc, to_pct
 from plugd_hil.car import CarAtHome
 from plugd_hil.conductor import Participant
+from plugd_hil.openevse import OpenEvseCharger
 from plugd_hil.outlet import Said
+from plugd_hil.plain import HABITS, PlainPlug
 from plugd_hil.shelly2 import Shelly2Plug
 from plugd_hil.socket import Plug
 from plugd_hil.tasmota import TasmotaPlug
@@ -196,9 +198,25 @@ def _shelly2(options: argparse.Namespace, car: CarAtHome, now: datetime) -> Plug
     )  # fmt: skip
 
 
+def _openevse(options: argparse.Namespace, car: CarAtHome, now: datetime) -> Plug:
+    return OpenEvseCharger(
+        options.topic, car, now,
+        power_kw=options.power, on=options.on, timezone=options.timezone, period_s=options.tele_period or 30,
+    )  # fmt: skip
+
+
+def _plain(options: argparse.Namespace, car: CarAtHome, now: datetime) -> Plug:
+    return PlainPlug(
+        options.dialect, options.topic, car, now,
+        power_kw=options.power, on=options.on, timezone=options.timezone, period_s=options.tele_period,
+    )  # fmt: skip
+
+
 DIALECTS: dict[str, Callable[[argparse.Namespace, CarAtHome, datetime], Plug]] = {
     "tasmota": _tasmota,
     "shelly2": _shelly2,
+    "openevse": _openevse,
+    **dict.fromkeys(HABITS, _plain),
 }
 
 

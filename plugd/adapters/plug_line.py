@@ -44,6 +44,8 @@ class PlugLine:
         self._mail = connection.subscribe(*filters)
         self._hear = hear
         self._back = back
+        self.meterless = False
+        """It has been asked, and told of no meter."""
         self._session = 0
         self._silent = False
 
@@ -68,11 +70,13 @@ class PlugLine:
     def reading(self, status: Commands, meter: bool = True) -> Reading:
         """The last word on relay and meter; asks where it is older than a minute. Raises PlugTimeout."""
         self.listen()
+        meter = meter and (self.plug.metered_at is not None or not self.meterless)
         if not self._fresh(meter):
             if status:
                 self.exchange(status, lambda: self._fresh(meter), 1 if self._silent else TRIES, PATIENCE_S)
-            elif not self._silent and self.plug.on_at is None:
+            elif not self._silent and (self.plug.on_at is None or (meter and self.plug.metered_at is None)):
                 self.exchange((), lambda: self._fresh(meter), 1, FIRST_WORD_S)
+            self.meterless = self.plug.metered_at is None and self._fresh(meter=False)
         reading = self.plug.reading(self._clock.monotonic())
         self._silent = reading is None
         if reading is None:

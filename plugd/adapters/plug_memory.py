@@ -26,7 +26,8 @@ DAWN = -math.inf
 class PlugMemory:
     """The plug as it has told itself. Grows stale with time, and at once when it or we were away."""
 
-    dead_man_s: float
+    dead_man_s: float | None
+    """After how long of our silence its timer switches it on; None where it has none."""
     tells_uptime: bool = True
     """Whether it says how long it has been up: else every absence is a power cut, as far as we know."""
     nonsense: int = 0
@@ -133,6 +134,8 @@ class PlugMemory:
 
     def _timer_ran_out(self, by_timer: bool, now_s: float) -> bool:
         """Whether no OFF has reached it for the dead-man's time: then the timer has switched it on."""
+        if self.dead_man_s is None:
+            return False
         slack_s = min(5.0, 0.1 * self.dead_man_s)
         return not self.held and (by_timer or now_s - self.off_s >= self.dead_man_s - slack_s)
 
@@ -153,7 +156,7 @@ class PlugMemory:
 
     def renewal_s(self, wanted: Relay | None) -> float:
         """When to repeat OFF; never where it is on (the next decision acts) or off on a person's word."""
-        if wanted is None or wanted.on or wanted.held or self.on is not False:
+        if self.dead_man_s is None or wanted is None or wanted.on or wanted.held or self.on is not False:
             return -DAWN
         share = RENEWALS if self.off_s >= self.off_sent_s else 5 * RENEWALS
         return self.off_sent_s + self.dead_man_s / share

@@ -60,7 +60,7 @@ class SwitchedPlug:
         self._dialect = dialect
         self._dead_man_s = dead_man_s
         self._capability = Capability(power_max_kw, dead_man=dialect.dead_man)
-        self._plug = PlugMemory(dead_man_s, dialect.tells_uptime)
+        self._plug = PlugMemory(dead_man_s if dialect.dead_man else None, dialect.tells_uptime)
         self._line = PlugLine(
             connection, clock, f"plug {name}", dialect.filters(), self._plug, self._hear, self._plug.back
         )
@@ -96,8 +96,12 @@ class SwitchedPlug:
             answered = self._dialect.on_change or plug.answers > answers
             return answered and plug.on is wanted.on and not (plug.held and plug.timer)
 
+        as_wanted = plug.on is wanted.on and plug.fresh(now_s, meter=False)
         plug.order(wanted.on, now_s)
         commands = self._command(wanted)
+        if self._dialect.on_change and as_wanted:
+            line.send(commands)  # it will not answer: nothing changes
+            return
         if line.exchange(commands, lambda: obeyed() or plug.refusal is not None, CONFIRM_TRIES, CONFIRM_S):
             if plug.refusal is not None:
                 raise PlugRefused(f"{line.name} refuses: {plug.refusal}")
@@ -116,7 +120,7 @@ class SwitchedPlug:
 
     def due(self) -> datetime | None:
         """When an OFF has to be repeated. None without a dead-man."""
-        return self._line.at(self._plug.renewal_s(self._wanted)) if self._dialect.dead_man else None
+        return self._line.at(self._plug.renewal_s(self._wanted))
 
     def tend(self, now: datetime) -> None:
         """Repeat an OFF where due; waits for no answer. Raises PlugTimeout."""
@@ -133,6 +137,9 @@ class SwitchedPlug:
         found = []
         if self._plug.errors:
             found.append(Fault("plug_protects", f"{self._line.name} {self._protection()}"))
+        if not self._dialect.meter or self._line.meterless:
+            text = f"{self._line.name} tells no energy, so plugd cannot count what the car takes"
+            found.append(Fault("plug_meter", f"{text}; take one with a meter, or tell the state of charge"))
         off = self._wanted is not None and not self._wanted.on and not self._plug.held
         if self._dialect.dead_man and off and self._plug.on is False and self._plug.timer is False:
             text = f"{self._line.name} does not keep the timer of an off; it stays off when plugd stops"

@@ -4,13 +4,14 @@ from collections.abc import Callable
 from datetime import time
 from functools import reduce
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from plugd.config import values
-from plugd.config.values import Clock, File, Percent, PlugKind, Text, Topic, Weekday, Window
+from plugd.config.values import Clock, File, Percent, PlugKind, PlugTopic, Text, Topic, Weekday, Window, Word
+from plugd.units import kw_of, whole_amps
 
 
 class Section(BaseModel):
@@ -40,6 +41,30 @@ class BrokerSection(Section):
     discovery_prefix: Topic = "homeassistant"
 
 
+class MqttPlugSection(Section):
+    """The words of a plug over MQTT, where they differ from its preset's. `{topic}` is the plug's own topic."""
+
+    command_topic: PlugTopic | None = None
+    command_on: Word | None = None
+    command_off: Word | None = None
+    state_topic: PlugTopic | None = None
+    state_key: Word | None = None
+    state_on: Word | None = None
+    state_off: Word | None = None
+    power_topic: PlugTopic | None = None
+    power_key: Word | None = None
+    power_unit: Literal["W", "kW"] | None = None
+    energy_topic: PlugTopic | None = None
+    energy_key: Word | None = None
+    energy_unit: Literal["kWh", "Wh", "Wmin"] | None = None
+    availability_topic: PlugTopic | None = None
+    online: Word | None = None
+    offline: Word | None = None
+    ask_topic: PlugTopic | None = None
+    ask_payload: Word | None = None
+    on_change: bool | None = None
+
+
 class PlugSection(Section):
     """What feeds the car."""
 
@@ -49,6 +74,7 @@ class PlugSection(Section):
     max_current_a: Annotated[float, Field(ge=1, le=80)] = 10.5
     dead_man_s: Annotated[int, Field(ge=10, le=64800)] = 3600
     """After how long without word from plugd the plug comes on by itself. Under 60 s only on a test bench."""
+    mqtt: MqttPlugSection = MqttPlugSection()
 
 
 class CanSection(Section):
@@ -163,11 +189,33 @@ def at(config: Config, key: str) -> Any:
     return reduce(getattr, key.split("."), config)
 
 
+WORDED = ("mqtt", "shelly1", "zigbee2mqtt", "esphome")
+"""Kinds whose words [plug.mqtt] may change."""
+NEEDED = ("command_topic", "command_on", "command_off", "state_topic", "state_on", "state_off")
+
 IMPOSSIBLE: tuple[tuple[str, Callable[[Config], bool], str], ...] = (
     (
         "plug.topic",
         lambda c: c.plug.topic is None and c.plug.kind != "can_elcon",
         'write topic = "..." under [plug]: the name that the plug itself uses on the broker',
+    ),
+    (
+        "plug.power_kw",
+        lambda c: c.plug.kind == "openevse" and whole_amps(min(c.plug.power_kw, kw_of(c.plug.max_current_a))) < 6,
+        "is less than the 6 A (1.38 kW) that a charger offers at least; raise it, or plug.max_current_a",
+    ),
+    (
+        "plug.mqtt",
+        lambda c: c.plug.kind not in WORDED and bool(c.plug.mqtt.model_fields_set),
+        f"counts only for plug.kind {', '.join(WORDED)}; remove the table, or change the kind",
+    ),
+    *(
+        (
+            f"plug.mqtt.{key}",
+            lambda c, key=key: getattr(c.plug.mqtt, key) == "",
+            "must not be empty: without it the plug can be neither told nor heard",
+        )
+        for key in NEEDED
     ),
     (
         "home.postcode",

@@ -18,7 +18,7 @@ from plugd_hil.broker import Mosquitto
 from tests.fakes import FakeCharger, FakeClock, FakePlug
 
 HIL = Path(__file__).resolve().parents[2] / "hil"
-KINDS = ("tasmota", "shelly2")
+KINDS = ("tasmota", "shelly2", "openevse", "mqtt", "shelly1", "zigbee2mqtt", "esphome")
 POWER_KW = 50.0
 """Then a second of charging shows on a meter that counts in Wh."""
 DEAD_MAN_S = 1.0
