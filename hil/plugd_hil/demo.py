@@ -43,6 +43,9 @@ SOC_START = 0.5
 SYNTHETIC = "synthetic"
 MOST_DAYS = 366
 
+TELLING = dict.fromkeys(("openevse", "mqtt", "shelly1", "esphome"), ("--tele-period", "60"))
+"""Half as often as they are shipped: the week is sooner over, and a reading may be a minute old."""
+
 CONFIG = """
 name = "ev"
 [broker]
@@ -224,7 +227,7 @@ def _simulate(
             "plug", "plugd_hil.plug", "--dialect", options.plug, "--broker", f"{HOST}:{broker.port}",
             "--topic", "ev-plug", "--power", str(POWER_KW), "--soc", str(100 * SOC_START), "--car", "driver",
             "--seed", str(options.seed), "--clock", clock, "--ledger", str(ledger),
-            "--soc-topic", "car/soc", "--tell", options.soc, says=True,
+            "--soc-topic", "car/soc", "--tell", options.soc, *TELLING.get(options.plug, ()), says=True,
         )  # fmt: skip
         config = folder / "plugd.toml"
         config.write_text(

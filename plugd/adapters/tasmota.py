@@ -16,6 +16,7 @@ from plugd.errors import PlugFault, PlugRefused
 from plugd.ports import Clock
 
 INVERTED_PULSE = 5
+PRESENCE = {b"Online": "Online", b"Offline": "Offline"}
 
 
 class Tasmota:
@@ -132,8 +133,8 @@ class Tasmota:
         if kind == "cmnd":
             self._ghost = bool(message.payload) if message.retain else self._ghost
         elif tail == "LWT":
-            self._line.last_word = message.payload.decode("utf-8", "replace")[:16]
-            if self._line.last_word == "Online" and not message.retain:
+            self._line.last_word = PRESENCE.get(message.payload, "says something else")
+            if message.payload == b"Online" and not message.retain:
                 self._back()
         elif not message.retain:  # a kept copy says nothing of now
             heard = hear(message.payload, answer=tail in ("RESULT", "POWER", "POWER1"))

@@ -31,6 +31,8 @@ class Rig(Protocol):
     plug: Plug
     clock: Clock
     dead_man_s: float
+    metered: bool
+    """Whether it tells power and energy."""
 
     def press(self) -> None:
         """A person presses the button."""
@@ -76,6 +78,7 @@ class FakeRig:
         self.plug: Plug = fake
         self.clock: Clock = clock
         self.dead_man_s = 3600.0
+        self.metered = True
         self._fake = fake
 
     def press(self) -> None:
@@ -136,8 +139,11 @@ class StubPlug:
 class StubRig:
     """An adapter, a real broker, and the stub plug in a process of its own. Time is real."""
 
-    def __init__(self, stub: StubPlug, plug: Plug, clock: SystemClock, connection: MqttConnection) -> None:
+    def __init__(
+        self, stub: StubPlug, plug: Plug, clock: SystemClock, connection: MqttConnection, metered: bool
+    ) -> None:
         self.plug = plug
+        self.metered = metered
         self.clock: Clock = clock
         self.dead_man_s = DEAD_MAN_S
         self.connection = connection
@@ -182,8 +188,8 @@ def fake_charger(_broker: Callable[[], Mosquitto]) -> Iterator[Rig]:
     yield FakeRig(FakeCharger(clock), clock)
 
 
-def stubbed(kind: str) -> Callable[[Callable[[], Mosquitto]], Iterator[Rig]]:
-    """The adapter of this kind, as the daemon builds it, and its stub with the same configuration."""
+def stubbed(kind: str, more: str = "") -> Callable[[Callable[[], Mosquitto]], Iterator[Rig]]:
+    """The adapter of this kind, as the daemon builds it from a configuration with `more` keys, and its stub."""
 
     def rig(broker: Callable[[], Mosquitto]) -> Iterator[Rig]:
         at = broker()
@@ -192,12 +198,12 @@ def stubbed(kind: str) -> Callable[[Callable[[], Mosquitto]], Iterator[Rig]]:
         clock = SystemClock()
         connection = MqttConnection(Broker(at.host, at.port), "plugd-contract")
         # The configuration asks for no dead-man of a second, which no house could live with.
-        config = parse(f'[plug]\nkind = "{kind}"\ntopic = "ev-plug"\npower_kw = {POWER_KW}\n')
+        config = parse(f'[plug]\nkind = "{kind}"\ntopic = "ev-plug"\npower_kw = {POWER_KW}\n{more}')
         hasty = config.plug.model_copy(update={"dead_man_s": DEAD_MAN_S})
         adapter = daemon.plug_for(config.model_copy(update={"plug": hasty}), connection, clock)
         connection.start()
         connection.wait_connected(5.0)
-        yield StubRig(stub, adapter, clock, connection)
+        yield StubRig(stub, adapter, clock, connection, metered=not more)
         connection.close()
         clock.close()
         stub.close()
@@ -205,5 +211,15 @@ def stubbed(kind: str) -> Callable[[Callable[[], Mosquitto]], Iterator[Rig]]:
     return rig
 
 
-RIGS = {"fake plug": fake_plug, "fake charger": fake_charger, **{kind: stubbed(kind) for kind in KINDS}}
+BARE = "a relay without a meter"
+RIGS = {
+    "fake plug": fake_plug,
+    "fake charger": fake_charger,
+    **{kind: stubbed(kind) for kind in KINDS},
+    BARE: stubbed("mqtt", '[plug.mqtt]\npower_topic = ""\nenergy_topic = ""\n'),
+}
 WITH_DEAD_MAN = ("fake plug", "tasmota", "shelly2")
+WITHOUT_DEAD_MAN = tuple(name for name in RIGS if name not in WITH_DEAD_MAN)
+WITH_BUTTON = tuple(name for name in RIGS if name != "fake charger")
+ALWAYS = ("fake plug", "fake charger", "tasmota")
+"""Tested whole in every run; the others in part, and whole with --every-plug."""
