@@ -31,7 +31,7 @@ plugs: $(READY) ## every plug: the whole contract suite, and a simulated week of
 	$(VENV)/bin/python -m pytest --every-plug tests/contract tests/hil/test_every_plug.py $(ARGS)
 
 fuzz: $(READY) ## a million payloads at everything that a plug may say
-	$(VENV)/bin/python tests/fuzz_plugs.py --payloads 1000000 $(ARGS)
+	$(VENV)/bin/python -m tests.fuzz_plugs --payloads 1000000 $(ARGS)
 
 check: $(READY) ## style, types, layers
 	$(VENV)/bin/ruff check

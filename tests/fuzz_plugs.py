@@ -183,11 +183,14 @@ TASMOTA = (
 
 
 def throw(kind: str, payloads: int, seed: int) -> int:
-    """Throw them, and look. Returns how many made nonsense values; raises AssertionError for what may not be."""
+    """Throw them, and look. Returns how many values were nonsense; raises AssertionError for what may not be."""
     dice, under = random.Random(f"{seed}/{kind}"), bench(kind)
     topics = CORPUS[kind]
+    asked = [1]
     for number in range(payloads):
         topic, said = dice.choice(topics)
+        if topic == "me/rpc" and isinstance(said, dict):
+            said = {**said, "id": dice.choice(asked)}
         payload = mutated(dice, said)
         under.line.mail.put(Message(topic, payload, dice.random() < 0.05))
         under.clock.at += timedelta(seconds=dice.choice((0.0, 0.1, 1.0)))
@@ -203,6 +206,8 @@ def throw(kind: str, payloads: int, seed: int) -> int:
         for sent in under.line.sent:
             if not lawful(kind, *sent):
                 raise AssertionError(f"{kind}: {sent} was sent after {payload!r}")
+        if kind == "shelly2":
+            asked = [json.loads(sent)["id"] for _, sent in under.line.sent][-4:] or asked
         under.line.sent.clear()
     return under.nonsense()
 

@@ -1,0 +1,145 @@
+"""The OpenEVSE charger: whole amperes, what is told of its claim, a person's override, its own faults."""
+
+import json
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import timedelta
+
+import pytest
+
+from plugd.adapters.clock import SystemClock
+from plugd.adapters.mqtt import Broker, Mailbox, MqttConnection
+from plugd.adapters.openevse import OpenEvse, capability
+from plugd.domain import Reading, Relay, Setpoint
+from plugd.errors import PlugFault, PlugRefused, PlugTimeout
+from plugd_hil.broker import Mosquitto
+from tests.contract.rigs import StubPlug
+
+SOON_S = 5.0
+
+
+@dataclass(slots=True)
+class Bench:
+    """The adapter, the stub, and somebody else at the broker."""
+
+    charger: OpenEvse
+    clock: SystemClock
+    ours: MqttConnection
+    other: MqttConnection
+    claims: Mailbox
+    stub: StubPlug
+
+    def until(self, so: Callable[[Reading], bool]) -> Reading:
+        """The first reading that is so; silence meanwhile is only that."""
+        end = self.clock.now() + timedelta(seconds=SOON_S)
+        seen: list[Reading] = []
+        while self.clock.now() < end:
+            with suppress(PlugTimeout):
+                seen.append(self.charger.read())
+                if so(seen[-1]):
+                    return seen[-1]
+            self.clock.wait(end, self.ours)
+        raise AssertionError(f"never so in {seen}")
+
+    def kw(self, power_kw: float) -> Setpoint:
+        """A setpoint for an hour."""
+        return Setpoint(power_kw, self.clock.now() + timedelta(hours=1))
+
+    def claimed(self) -> list[dict[str, object]]:
+        """What was claimed since the last look."""
+        self.ours.flush()
+        self.other.flush()
+        return [json.loads(m.payload) for m in self.claims.take()]
+
+
+@pytest.fixture
+def bench(mosquitto: Mosquitto) -> Iterator[Bench]:
+    """A charger of 7.36 kW that tells everything every second."""
+    stub = StubPlug(mosquitto, "--dialect", "openevse", "--power", "7.36", "--tele-period", "1")
+    clock = SystemClock()
+    ours, other = (MqttConnection(Broker(mosquitto.host, mosquitto.port), name) for name in ("ours", "other"))
+    charger = OpenEvse(ours, clock, "ev-plug", 7.36, 32.0)
+    claims = other.subscribe("ev-plug/claim/set")
+    for connection in (ours, other):
+        connection.start()
+        assert connection.wait_connected(SOON_S)
+    yield Bench(charger, clock, ours, other, claims, stub)
+    for connection in (ours, other):
+        connection.close()
+    clock.close()
+    stub.close()
+
+
+@pytest.mark.parametrize(
+    ("power_kw", "max_a", "most_kw"), [(7.36, 32.0, 7.36), (7.4, 32.0, 7.36), (7.36, 10.5, 2.3), (1.38, 32.0, 1.38)]
+)
+def test_the_most_is_whole_amperes_within_both_limits(power_kw: float, max_a: float, most_kw: float) -> None:
+    assert capability(power_kw, max_a).power_max_kw == pytest.approx(most_kw)
+    assert capability(power_kw, max_a).power_min_kw == pytest.approx(1.38)
+
+
+def test_less_than_six_amperes_is_no_charger() -> None:
+    with pytest.raises(ValueError, match="less than 6 A"):
+        capability(1.37, 32.0)
+
+
+def test_the_nearest_ampere_is_claimed_once(bench: Bench) -> None:
+    for power_kw, amps in ((1.9, 8), (1.38, 6), (7.36, 32), (7.3, 32)):
+        bench.charger.set(bench.kw(power_kw))
+        assert [c.get("charge_current") for c in bench.claimed()] in ([amps], [])
+        assert bench.until(lambda r, kw=0.23 * amps: r.power_kw == pytest.approx(kw)).on  # type: ignore[misc]
+    bench.charger.set(bench.kw(7.36))
+    assert bench.claimed() == [], "a claim that stands is not made again"
+    bench.charger.set(bench.kw(0.0))
+    assert bench.claimed() == [{"state": "disabled", "auto_release": False}]
+    assert not bench.until(lambda r: r.power_kw == 0.0).on
+
+
+@pytest.mark.parametrize("power_kw", [0.1, 1.37, 7.4, 100.0])
+def test_what_it_cannot_give_is_refused_before_anything_is_sent(bench: Bench, power_kw: float) -> None:
+    with pytest.raises(PlugRefused, match="from 6 to 32 A, or nothing"):
+        bench.charger.set(bench.kw(power_kw))
+    assert bench.claimed() == []
+
+
+def test_a_persons_override_wins_and_is_named(bench: Bench) -> None:
+    bench.charger.set(bench.kw(2.3))
+    bench.until(lambda r: r.on)
+    bench.stub.tell("press")
+    assert bench.until(lambda r: not r.on).changed_by_other is False
+    with pytest.raises(PlugRefused, match="clear the override there"):
+        bench.charger.set(bench.kw(4.6))
+    bench.other.publish("ev-plug/override/set", b"clear")
+    assert bench.until(lambda r: r.on).power_kw is not None
+
+
+def test_a_claim_of_somebody_else_is_replaced(bench: Bench) -> None:
+    bench.charger.set(bench.kw(2.3))
+    bench.claimed()
+    bench.other.publish("ev-plug/claim/set", b'{"charge_current": 32}')
+    bench.until(lambda r: r.power_kw == pytest.approx(7.36))
+    bench.claimed()
+    bench.charger.set(bench.kw(2.3))
+    assert [c["charge_current"] for c in bench.claimed()] == [10]
+
+
+def test_a_fault_of_its_own_is_told_and_nothing_is_claimed_of_it(bench: Bench) -> None:
+    bench.charger.set(Relay(on=False))
+    bench.other.publish("ev-plug/state", b"8")
+    bench.stub.tell("mute")
+    bench.until(lambda _: bool(bench.charger.warnings))
+    assert "relay is stuck" in bench.charger.warnings[0].text
+    with pytest.raises(PlugFault, match="its relay is stuck"):
+        bench.charger.set(Relay(on=True))
+
+
+def test_after_a_restart_it_has_forgotten_its_claim_and_gets_it_again(bench: Bench) -> None:
+    bench.charger.set(bench.kw(0.0))
+    bench.stub.tell("cut 0")
+    back = bench.until(lambda r: r.came_back and r.on)
+    assert back.changed_by_other is None
+    bench.claimed()
+    bench.charger.set(bench.kw(0.0))
+    assert len(bench.claimed()) >= 1
+    assert not bench.until(lambda r: not r.on).on
