@@ -1,8 +1,8 @@
 """Relays of three houses and one of no house, as a state machine without I/O: what each says, when, and how.
 
 Shelly Gen1 (firmware 1.x): plain values on topics of their own, energy in Watt-minutes since boot, all of it every
-30 s and on `update`. Zigbee2MQTT: one JSON object for everything, on every change, `set` and `get`; its bridge is there
-when the plug is not. ESPHome: retained states on topics of their own, the relay's only when it changes, `nan` for a
+30 s and on `update`. Zigbee2MQTT: one JSON object for everything, on every change, `set` and `get`, with availability
+switched on. ESPHome: retained states on topics of their own, the relay's only when it changes, `nan` for a
 sensor that has not measured yet. `mqtt`: a plain device of somebody's own, not retained, some words every 30 s.
 """
 
@@ -38,7 +38,7 @@ class Habits:
     """By payload: on, off or toggle."""
     relay: Callable[[Told], tuple[tuple[str, str], ...]]
     meter: Callable[[Told], tuple[tuple[str, str], ...]]
-    presence: tuple[str, str, str] | None
+    presence: tuple[str, str, str]
     """(tail, online, offline), retained."""
     period_s: float | None = 30.0
     settle_s: float = 1.0
@@ -81,7 +81,7 @@ HABITS = {
         orders={json.dumps({"state": word}, separators=(",", ":")): order for word, order in PLAIN_ORDERS.items()},
         relay=_one_object,
         meter=_one_object,
-        presence=None,
+        presence=("/availability", '{"state":"online"}', '{"state":"offline"}'),
         period_s=None,
         settle_s=5.0,
     ),
@@ -143,9 +143,7 @@ class PlainPlug:
 
     @property
     def will(self) -> Said:
-        """Its last will; Zigbee2MQTT's is the bridge's, and not the plug's."""
-        if self._habits.presence is None:
-            return Said("zigbee2mqtt/bridge/state", '{"state":"offline"}', retain=True)
+        """Its last will; Zigbee2MQTT says it itself, where availability is switched on."""
         tail, _, offline = self._habits.presence
         return Said(f"{self._base}{tail}", offline, retain=True)
 
@@ -160,8 +158,6 @@ class PlainPlug:
         if self._period is not None:
             self.board.soon(self._period, self._telemetry)
         self.load_changed()
-        if self._habits.presence is None:
-            return self._everything()
         tail, online, _ = self._habits.presence
         return [*self._say(((tail, online),), retain=True), *self._everything()]
 
@@ -169,8 +165,8 @@ class PlainPlug:
         """The mains fail; it comes back as it was."""
         if self._habits.counts_since_boot:
             self._booted_kwh = self.board.total_kwh
-        dead = [] if self._habits.presence is None else [self.will]
-        return self.board.cut(length, self._online_again, lambda: dead, lambda saved: saved)
+        will = self.will
+        return self.board.cut(length, self._online_again, lambda: [will], lambda saved: saved)
 
     def press(self) -> list[Said]:
         """A person presses the button."""

@@ -112,7 +112,7 @@ class OpenEvse:
         plug, name = self._plug, self._line.name
         if self._state in TROUBLE:
             return PlugFault(f"{name}: {TROUBLE[self._state]}; look at it before anything else")
-        if self._claim != claim and plug.on_s < since_s:
+        if not plug.fresh(self._line.now()[1], meter=False) or (self._claim != claim and plug.on_s <= since_s):
             return self._line.silence(((f"{self._topic}/claim/set", ""),))
         if self._overridden:
             return PlugRefused(f"{name} is overridden at the charger or its page; clear the override there")

@@ -111,7 +111,7 @@ class SwitchedPlug:
     def _disobedience(self, wanted: Relay, answers: int, since_s: float, commands: Commands) -> PlugError:
         """Whether it does otherwise, or says nothing at all."""
         plug = self._plug
-        alive = plug.on_s >= since_s if self._dialect.on_change else plug.answers > answers
+        alive = plug.on_s > since_s if self._dialect.on_change else plug.answers > answers
         if not alive:
             return self._line.silence(self._dialect.status() or commands)
         if plug.on is wanted.on:

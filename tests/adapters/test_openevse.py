@@ -1,45 +1,41 @@
 """The OpenEVSE charger: whole amperes, what is told of its claim, a person's override, its own faults."""
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import timedelta
 
 import pytest
 
-from plugd.adapters.clock import SystemClock
-from plugd.adapters.mqtt import Broker, Mailbox, MqttConnection
 from plugd.adapters.openevse import OpenEvse, capability
 from plugd.domain import Reading, Relay, Setpoint
 from plugd.errors import PlugFault, PlugRefused, PlugTimeout
-from plugd_hil.broker import Mosquitto
-from tests.contract.rigs import StubPlug
+from plugd_hil.openevse import OpenEvseCharger
+from plugd_hil.outlet import Said
+from tests.wire import Wire, WireClock
 
-SOON_S = 5.0
+SOON = timedelta(seconds=60)
 
 
 @dataclass(slots=True)
 class Bench:
-    """The adapter, the stub, and somebody else at the broker."""
+    """The adapter and the stub on a wire."""
 
     charger: OpenEvse
-    clock: SystemClock
-    ours: MqttConnection
-    other: MqttConnection
-    claims: Mailbox
-    stub: StubPlug
+    clock: WireClock
+    wire: Wire
 
     def until(self, so: Callable[[Reading], bool]) -> Reading:
         """The first reading that is so; silence meanwhile is only that."""
-        end = self.clock.now() + timedelta(seconds=SOON_S)
+        end = self.clock.now() + SOON
         seen: list[Reading] = []
         while self.clock.now() < end:
             with suppress(PlugTimeout):
                 seen.append(self.charger.read())
                 if so(seen[-1]):
                     return seen[-1]
-            self.clock.wait(end, self.ours)
+            self.clock.wait(min(end, self.clock.now() + timedelta(seconds=0.5)))
         raise AssertionError(f"never so in {seen}")
 
     def kw(self, power_kw: float) -> Setpoint:
@@ -48,27 +44,19 @@ class Bench:
 
     def claimed(self) -> list[dict[str, object]]:
         """What was claimed since the last look."""
-        self.ours.flush()
-        self.other.flush()
-        return [json.loads(m.payload) for m in self.claims.take()]
+        found = [json.loads(payload) for topic, payload in self.wire.sent if topic == "ev-plug/claim/set"]
+        self.wire.sent.clear()
+        return found
 
 
 @pytest.fixture
-def bench(mosquitto: Mosquitto) -> Iterator[Bench]:
-    """A charger of 7.36 kW that tells everything every second."""
-    stub = StubPlug(mosquitto, "--dialect", "openevse", "--power", "7.36", "--tele-period", "1")
-    clock = SystemClock()
-    ours, other = (MqttConnection(Broker(mosquitto.host, mosquitto.port), name) for name in ("ours", "other"))
-    charger = OpenEvse(ours, clock, "ev-plug", 7.36, 32.0)
-    claims = other.subscribe("ev-plug/claim/set")
-    for connection in (ours, other):
-        connection.start()
-        assert connection.wait_connected(SOON_S)
-    yield Bench(charger, clock, ours, other, claims, stub)
-    for connection in (ours, other):
-        connection.close()
-    clock.close()
-    stub.close()
+def bench() -> Bench:
+    """A charger of 7.36 kW that tells everything every 30 s."""
+    wire = Wire(lambda car, now: OpenEvseCharger("ev-plug", car, now))
+    clock = WireClock(wire)
+    bench = Bench(OpenEvse(wire, clock, "ev-plug", 7.36, 32.0), clock, wire)
+    bench.charger.read()
+    return bench
 
 
 @pytest.mark.parametrize(
@@ -85,9 +73,9 @@ def test_less_than_six_amperes_is_no_charger() -> None:
 
 
 def test_the_nearest_ampere_is_claimed_once(bench: Bench) -> None:
-    for power_kw, amps in ((1.9, 8), (1.38, 6), (7.36, 32), (7.3, 32)):
+    for power_kw, amps in ((1.9, 8), (1.38, 6), (7.3, 32)):
         bench.charger.set(bench.kw(power_kw))
-        assert [c.get("charge_current") for c in bench.claimed()] in ([amps], [])
+        assert [c.get("charge_current") for c in bench.claimed()] == [amps]
         assert bench.until(lambda r, kw=0.23 * amps: r.power_kw == pytest.approx(kw)).on  # type: ignore[misc]
     bench.charger.set(bench.kw(7.36))
     assert bench.claimed() == [], "a claim that stands is not made again"
@@ -106,18 +94,18 @@ def test_what_it_cannot_give_is_refused_before_anything_is_sent(bench: Bench, po
 def test_a_persons_override_wins_and_is_named(bench: Bench) -> None:
     bench.charger.set(bench.kw(2.3))
     bench.until(lambda r: r.on)
-    bench.stub.tell("press")
+    bench.wire.say(bench.wire.stub.press())
     assert bench.until(lambda r: not r.on).changed_by_other is False
     with pytest.raises(PlugRefused, match="clear the override there"):
         bench.charger.set(bench.kw(4.6))
-    bench.other.publish("ev-plug/override/set", b"clear")
+    bench.wire.publish("ev-plug/override/set", b"clear")
     assert bench.until(lambda r: r.on).power_kw is not None
 
 
 def test_a_claim_of_somebody_else_is_replaced(bench: Bench) -> None:
     bench.charger.set(bench.kw(2.3))
     bench.claimed()
-    bench.other.publish("ev-plug/claim/set", b'{"charge_current": 32}')
+    bench.wire.publish("ev-plug/claim/set", b'{"charge_current": 32}')
     bench.until(lambda r: r.power_kw == pytest.approx(7.36))
     bench.claimed()
     bench.charger.set(bench.kw(2.3))
@@ -126,8 +114,8 @@ def test_a_claim_of_somebody_else_is_replaced(bench: Bench) -> None:
 
 def test_a_fault_of_its_own_is_told_and_nothing_is_claimed_of_it(bench: Bench) -> None:
     bench.charger.set(Relay(on=False))
-    bench.other.publish("ev-plug/state", b"8")
-    bench.stub.tell("mute")
+    bench.wire.say([Said("ev-plug/state", "8")])
+    bench.wire.stub.muted = True
     bench.until(lambda _: bool(bench.charger.warnings))
     assert "relay is stuck" in bench.charger.warnings[0].text
     with pytest.raises(PlugFault, match="its relay is stuck"):
@@ -136,7 +124,7 @@ def test_a_fault_of_its_own_is_told_and_nothing_is_claimed_of_it(bench: Bench) -
 
 def test_after_a_restart_it_has_forgotten_its_claim_and_gets_it_again(bench: Bench) -> None:
     bench.charger.set(bench.kw(0.0))
-    bench.stub.tell("cut 0")
+    bench.wire.say(bench.wire.stub.cut(timedelta(0)))
     back = bench.until(lambda r: r.came_back and r.on)
     assert back.changed_by_other is None
     bench.claimed()

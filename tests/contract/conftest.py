@@ -6,7 +6,7 @@ from typing import cast
 import pytest
 
 from plugd_hil.broker import Mosquitto
-from tests.contract.rigs import ALWAYS, RIGS, Rig
+from tests.contract.rigs import OVER_A_BROKER, RIGS, SLOW, Rig
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -17,16 +17,15 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     left: list[pytest.Item] = []
     for item in items:
         name = getattr(item, "callspec", None) and item.callspec.params.get("rig_name")  # type: ignore[attr-defined]
-        (left if name and name not in ALWAYS and item.get_closest_marker("quick") is None else kept).append(item)
+        (left if name in SLOW and item.get_closest_marker("quick") is None else kept).append(item)
     items[:] = kept
     config.hook.pytest_deselected(items=left)
 
 
 def _params(names: tuple[str, ...]) -> list[object]:
-    on_broker = [pytest.mark.requires("mosquitto")]
+    needs = [pytest.mark.requires("mosquitto")]
     return [
-        pytest.param(name, marks=[] if name.startswith("fake") else on_broker, id=name.replace(" ", "-"))
-        for name in names
+        pytest.param(name, marks=needs if name in OVER_A_BROKER else [], id=name.replace(" ", "-")) for name in names
     ]
 
 

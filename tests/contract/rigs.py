@@ -13,9 +13,13 @@ from plugd.adapters.clock import SystemClock
 from plugd.adapters.mqtt import Broker, MqttConnection
 from plugd.config import parse
 from plugd.domain import Reading, Relay, Setpoint, Wanted
+from plugd.errors import PlugTimeout
 from plugd.ports import Clock, Plug
 from plugd_hil.broker import Mosquitto
+from plugd_hil.plug import DIALECTS
+from plugd_hil.plug import parser as stub_parser
 from tests.fakes import FakeCharger, FakeClock, FakePlug
+from tests.wire import Wire, WireClock
 
 HIL = Path(__file__).resolve().parents[2] / "hil"
 KINDS = ("tasmota", "shelly2", "openevse", "mqtt", "shelly1", "zigbee2mqtt", "esphome")
@@ -59,14 +63,17 @@ def order(rig: Rig, on: bool, held: bool = False) -> Wanted:
 
 
 def eventually(rig: Rig, so: Callable[[Reading], bool], longest_s: float) -> Reading:
-    """The first reading that is so; the last one where none is."""
-    readings = [rig.plug.read()]
+    """The first reading that is so; the last one where none is. Silence meanwhile is only that."""
+    readings: list[Reading] = []
 
     def look() -> bool:
-        readings.append(rig.plug.read())
+        try:
+            readings.append(rig.plug.read())
+        except PlugTimeout:  # it is away, or has only come back
+            return False
         return so(readings[-1])
 
-    if not so(readings[0]):
+    if not look():
         rig.pause(look, longest_s)
     return readings[-1]
 
@@ -211,15 +218,65 @@ def stubbed(kind: str, more: str = "") -> Callable[[Callable[[], Mosquitto]], It
     return rig
 
 
+class WireRig:
+    """The same adapter and stub in one process, hand to hand: simulated time, no broker."""
+
+    def __init__(self, wire: Wire, plug: Plug, metered: bool) -> None:
+        self.plug = plug
+        self.clock: Clock = WireClock(wire)
+        self.dead_man_s = 3600.0
+        self.metered = metered
+        self._wire = wire
+
+    def press(self) -> None:
+        """The button."""
+        self._wire.say(self._wire.stub.press())
+
+    def cut(self) -> None:
+        """The mains."""
+        self._wire.say(self._wire.stub.cut(timedelta(0)))
+
+    def mute(self) -> None:
+        """Its Wi-Fi hangs."""
+        self._wire.stub.muted = True
+
+    def jam(self) -> None:
+        """Its relay is stuck, or locked."""
+        self._wire.stub.board.jammed = True
+
+    def pause(self, until: Callable[[], bool], longest_s: float) -> None:
+        """A hundred steps."""
+        for _ in range(100):
+            self.clock.wait(self.clock.now() + timedelta(seconds=longest_s / 100.0))
+            if until():
+                return
+
+
+def wired(kind: str, more: str = "") -> Callable[[Callable[[], Mosquitto]], Iterator[Rig]]:
+    """As `stubbed`, on a wire."""
+
+    def rig(_broker: Callable[[], Mosquitto]) -> Iterator[Rig]:
+        options = stub_parser().parse_args(["--dialect", kind, "--power", str(POWER_KW), "--tele-period", "1"])
+        wire = Wire(lambda car, now: DIALECTS[kind](options, car, now))
+        config = parse(f'[plug]\nkind = "{kind}"\ntopic = "ev-plug"\npower_kw = {POWER_KW}\n{more}')
+        yield WireRig(wire, daemon.plug_for(config, wire, WireClock(wire)), metered=not more)
+
+    return rig
+
+
 BARE = "a relay without a meter"
+NO_METER = '[plug.mqtt]\npower_topic = ""\nenergy_topic = ""\n'
 RIGS = {
     "fake plug": fake_plug,
     "fake charger": fake_charger,
     **{kind: stubbed(kind) for kind in KINDS},
-    BARE: stubbed("mqtt", '[plug.mqtt]\npower_topic = ""\nenergy_topic = ""\n'),
+    BARE: stubbed("mqtt", NO_METER),
+    **{f"{kind} on a wire": wired(kind) for kind in KINDS},
+    f"{BARE} on a wire": wired("mqtt", NO_METER),
 }
-WITH_DEAD_MAN = ("fake plug", "tasmota", "shelly2")
+WITH_DEAD_MAN = ("fake plug", "tasmota", "shelly2", "tasmota on a wire", "shelly2 on a wire")
 WITHOUT_DEAD_MAN = tuple(name for name in RIGS if name not in WITH_DEAD_MAN)
 WITH_BUTTON = tuple(name for name in RIGS if name != "fake charger")
-ALWAYS = ("fake plug", "fake charger", "tasmota")
-"""Tested whole in every run; the others in part, and whole with --every-plug."""
+OVER_A_BROKER = (*KINDS, BARE)
+SLOW = tuple(kind for kind in OVER_A_BROKER if kind != "tasmota")
+"""Over a real broker in real time only with --every-plug, but for what is quick; on a wire in every run."""

@@ -75,7 +75,6 @@ def test_a_plug_that_does_otherwise_has_refused(rig: Rig) -> None:
     assert not rig.plug.read().on
 
 
-@pytest.mark.quick
 def test_the_capability_is_honest(rig: Rig) -> None:
     capability = rig.plug.capability
     assert capability.power_max_kw > 0.0
