@@ -11,10 +11,11 @@ from pathlib import Path
 from types import FrameType
 
 from plugd import perception
-from plugd.adapters import openevse
 from plugd.adapters.hub import MqttHub, Topics
 from plugd.adapters.mqtt import Broker, MqttConnection
 from plugd.adapters.neso import Neso
+from plugd.adapters.openevse import OpenEvse
+from plugd.adapters.openevse import capability as offered
 from plugd.adapters.plain import PRESETS, Plain
 from plugd.adapters.shelly2 import Shelly2
 from plugd.adapters.store import SqliteStore
@@ -60,7 +61,7 @@ def capability_of(config: Config) -> Capability:
     """What the configured plug can be told, without asking it."""
     plug = config.plug
     if plug.kind == "openevse":
-        return openevse.capability(plug.power_kw, plug.max_current_a)
+        return offered(plug.power_kw, plug.max_current_a)
     return Capability(plug.power_kw, dead_man=plug.kind not in PRESETS)
 
 
@@ -75,7 +76,7 @@ def plug_for(config: Config, connection: MqttConnection, clock: Clock) -> Plug:
             dialect = Shelly2(topic, reply_topic=f"{base_topic(config)}/{connection.name}")
             return SwitchedPlug(connection, clock, topic, dialect, plug.power_kw, plug.dead_man_s)
         case "openevse":
-            return openevse.OpenEvse(connection, clock, topic, plug.power_kw, plug.max_current_a)
+            return OpenEvse(connection, clock, topic, plug.power_kw, plug.max_current_a)
         case kind if kind in PRESETS:
             words = replace(PRESETS[kind], **plug.mqtt.model_dump(exclude_none=True))
             return SwitchedPlug(connection, clock, topic, Plain(topic, words), plug.power_kw)
