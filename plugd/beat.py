@@ -13,6 +13,7 @@ from plugd import sessions, soc
 from plugd.domain import Household, Memory, Mode, Relay, Session, Setpoint, Switching, Wanted
 from plugd.guard import Need, Verdict, guard
 from plugd.planner.nights import MET_KWH
+from plugd.planner.taper import flat_kwh
 
 WATCH = timedelta(seconds=60)
 """While something other than the plan holds the relay on, its end is looked for this often."""
@@ -89,8 +90,10 @@ def _missing(now: datetime, session: Session | None, memory: Memory, household: 
         return None
     if memory.presence.connected is False and now >= session.end:
         return None  # told to be gone, and its morning is over: nothing is left to save
-    energy_kwh = (session.minimum - cautious_soc(session.start, memory, household)) * household.car.capacity_kwh
-    return Need(session.end, energy_kwh if energy_kwh >= MET_KWH else 0.0)
+    car = household.car
+    has_kwh = cautious_soc(session.start, memory, household) * car.capacity_kwh
+    wants_kwh = session.minimum * car.capacity_kwh
+    return Need(session.end, flat_kwh(car, has_kwh, wants_kwh) if wants_kwh - has_kwh >= MET_KWH else 0.0)
 
 
 def _below_reserve(session: Session | None, memory: Memory, household: Household) -> bool:

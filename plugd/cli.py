@@ -142,6 +142,16 @@ def _demo(arguments: Sequence[str]) -> int:
     os.execv(sys.executable, [sys.executable, "-m", "plugd_hil.demo", *arguments])
 
 
+def _study(arguments: Sequence[str]) -> int:
+    from plugd.study import command
+
+    return command.main(Parser(prog="plugd study", description="The paper's experiments, and ours."), arguments)
+
+
+HANDED_OVER = {"demo": _demo, "study": _study}
+"""Commands that read their own arguments."""
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = Parser(
         prog="plugd",
@@ -159,6 +169,7 @@ def _parser() -> argparse.ArgumentParser:
 
     add("run", _run, "the daemon")
     commands.add_parser("demo", add_help=False, help="the daemon against a stub plug, a week in a minute")
+    commands.add_parser("study", add_help=False, help="the paper's experiments: table, regions")
     check = add("check", _check, "configuration, broker, plug, forecast, clock, disk: ok, or what to mend")
     check.add_argument("--click", action="store_true", help="also switch on, look at the power, switch off")
     plan = add("plan", _plan, "the plan now, or the plan of a problem file")
@@ -178,8 +189,8 @@ def _parser() -> argparse.ArgumentParser:
 def _commanded(given: Sequence[str]) -> int:
     parser = _parser()
     options, rest = parser.parse_known_args(given)
-    if options.command == "demo":
-        return _demo(rest)
+    if options.command in HANDED_OVER:
+        return HANDED_OVER[options.command](rest)
     if rest:
         parser.error(f"unrecognized arguments: {' '.join(rest)}")
     # Only the daemon's log is read by somebody; the other commands say all that matters themselves.

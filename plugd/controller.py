@@ -1,11 +1,13 @@
 """The decision: what the household, the world as seen and the memory make of one moment. Pure."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 
 from plugd import beat, commands, reasons, sessions, soc
 from plugd import outlook as outlooks
 from plugd.domain import (
+    Capability,
     Decision,
     Household,
     Intensity,
@@ -17,13 +19,19 @@ from plugd.domain import (
     Session,
     SessionPlan,
     Setpoint,
+    SocEstimate,
     Switching,
 )
 from plugd.guard import believed_kw
 from plugd.perception import perceive
-from plugd.planner import nights, taper
+from plugd.planner import hold, nights, taper
 from plugd.planner.problem import Solver
 from plugd.relay import RelayHistory, delay_s, realise
+from plugd.units import within
+
+LEAST_KW = 1e-3
+"""Less in a slot is the solver's rounding."""
+FULL_SHARE = 0.999
 
 
 @dataclass(slots=True)
@@ -95,44 +103,70 @@ class Controller:
         power_kw = believed_kw(memory.observed_kw, self.household.capability.power_max_kw)
         parts = nights.layout(coming, now, energy_kwh, power_kw, self.household)
         asked = nights.problem(parts, outlook, energy_kwh, memory.plan, self.household, history)
-        stated, solution = taper.solve(self.solver, asked, car)
+        held = hold.held(asked, parts, now, self._hold_g_per_kwh())
+        stated, solution = taper.solve(self.solver, held, car)
+        stated, solution = hold.let_go(asked, stated, solution)
         return nights.plan(now, parts, stated, solution, self.household)
+
+    def _hold_g_per_kwh(self) -> float:
+        """A relay is spared; a charger changes its power without wear."""
+        return 0.0 if self.household.capability.modulating else self.household.relay.hold_g_per_kwh
 
     def _orders(self, now: datetime, plan: Plan, memory: Memory) -> Orders:
         """Tonight's plan in the plug's own terms."""
         tonight = plan.sessions[0]
-        if self.household.capability.modulating:
-            return _setpoint(now, tonight)
-        car = self.household.car
-        ceiling_kwh = (tonight.session.ceiling - tonight.soc_end) * car.capacity_kwh
-        need_kwh = (tonight.session.minimum - soc.cautious(memory.soc)) * car.capacity_kwh
         history = RelayHistory(
             on=bool(memory.relay_on),
             since=memory.relay_since,
             switch_ons=tuple(at for at in memory.switch_ons if at >= tonight.session.start),
             orders=memory.orders if isinstance(memory.orders, Switching) else None,
         )
-        return realise(
-            tonight,
-            now,
-            history,
-            self.household.relay,
-            surplus_kwh=max(0.0, ceiling_kwh) / car.efficiency,
-            must_kwh=max(0.0, need_kwh) / car.efficiency,
-            margin_s=self.household.guard_margin_s,
-            delay=self._delay if self.household.relay.random_delay_s > 0.0 else None,
-        )
+        return orders(now, tonight, memory.soc, history, self.household, self._delay)
 
     def _delay(self, block_start: datetime) -> float:
         """Seconds by which a block of the plan starts later, so that neighbours do not start as one."""
         return delay_s(block_start, seed=self.seed, most_s=self.household.relay.random_delay_s)
 
 
-def _setpoint(now: datetime, tonight: SessionPlan) -> Setpoint:
-    """The power of the slot under way, or none until the session begins."""
+def orders(
+    now: datetime,
+    tonight: SessionPlan,
+    estimate: SocEstimate,
+    history: RelayHistory,
+    household: Household,
+    delay: Callable[[datetime], float],
+) -> Orders:
+    """A session's plan in the plug's own terms. `history`: what its relay did, where it is one."""
+    if household.capability.modulating:
+        return _setpoint(now, tonight, household.capability)
+    car = household.car
+    ceiling_kwh = (tonight.session.ceiling - tonight.soc_end) * car.capacity_kwh
+    need_kwh = (tonight.session.minimum - soc.cautious(estimate)) * car.capacity_kwh
+    return realise(
+        tonight,
+        now,
+        history,
+        household.relay,
+        surplus_kwh=max(0.0, ceiling_kwh) / car.efficiency,
+        must_kwh=max(0.0, need_kwh) / car.efficiency,
+        margin_s=household.guard_margin_s,
+        delay=delay if household.relay.random_delay_s > 0.0 else None,
+    )
+
+
+def _setpoint(now: datetime, tonight: SessionPlan, charger: Capability) -> Setpoint:
+    """The power of the slot under way in the charger's terms, or none until the session begins.
+
+    A slot planned full is offered all there is: a car that was seen to take less may take more one day. A car that
+    takes less than the charger's least is offered that least.
+    """
     for slot in tonight.slots:
         if slot.start <= now < slot.end:
-            return Setpoint(slot.power_kw, slot.end)
+            if slot.power_kw <= LEAST_KW:
+                return Setpoint(0.0, slot.end)
+            full = slot.power_kw >= FULL_SHARE * slot.limit_kw
+            power_kw = charger.power_max_kw if full else slot.power_kw
+            return Setpoint(within(charger.power_min_kw, power_kw, charger.power_max_kw), slot.end)
         if slot.start > now:
             return Setpoint(0.0, slot.start)
     return Setpoint(0.0, now + timedelta(minutes=30))

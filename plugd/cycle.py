@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from typing import TypeVar
 
-from plugd.beat import Action, is_on
+from plugd.beat import LEASE, Action, is_on
 from plugd.beat import Cause as By
 from plugd.controller import Controller
 from plugd.domain import (
@@ -19,15 +19,19 @@ from plugd.domain import (
     Reading,
     Record,
     Relay,
+    Setpoint,
     Wanted,
 )
 from plugd.errors import ForecastError, PlugError, StoreError
-from plugd.ports import Clock, ForecastSource, Hub, Plug, Store
+from plugd.ports import Clock, ForecastSource, Hub, Inbox, Plug, Store, Tended
 from plugd.units import next_slot, slot_start
 
 HISTORY = timedelta(days=56)
+LOOK_S = 10.0
 FETCH_RETRY_S = (60.0, 120.0, 240.0, 480.0, 960.0, 1800.0)
 PLUG_RETRY_S = (5.0, 15.0, 60.0)
+RENEWED = 0.5 * LEASE
+"""A setpoint that is renewed at every look is told again when half its time is over."""
 Kept = TypeVar("Kept")
 
 
@@ -85,6 +89,7 @@ class Cycle:
     def step(self) -> datetime:
         """Look, decide and act once. Returns when to be called again at the latest."""
         now = self.clock.now()
+        was_on = self.memory.relay_on
         reading = self._read()
         orders = tuple(self.hub.commands())
         pressed = reading is not None and reading.changed_by_other is not None
@@ -101,12 +106,26 @@ class Cycle:
         action = self.controller.act(now, self._seen(None if ticks else reading), self.memory)
         changed = action.memory.guarding is not self.memory.guarding
         self.memory = action.memory
-        moved = self._apply(now, action, reading)
+        moved = self._apply(now, action, reading, was_on)
         if moved or changed:
             self._save()
         self._tend(now)
         self._publish(now, reading)
         return self._next(now, action)
+
+    def rest(self, due: datetime, inbox: Inbox, stopped: Callable[[], bool]) -> None:
+        """Wait until `due`, a message or a spurious end; a plug that wants a word every second gets it meanwhile.
+
+        What arrives while such a plug is tended is looked at with its next word, and the plug itself every `LOOK_S`.
+        """
+        plug = self.plug
+        if not isinstance(plug, Tended):
+            self.clock.wait(due, inbox)
+            return
+        look_s = self.clock.monotonic() + LOOK_S
+        while not (stopped() or inbox.pending()) and self.clock.now() < due and self.clock.monotonic() < look_s:
+            self.clock.wait(min(due, plug.due() or due), plug.line)
+            self._tend(self.clock.now())
 
     # -- looking ----------------------------------------------------------------------------------
 
@@ -128,14 +147,16 @@ class Cycle:
         return Observation(reading, self.forecast, history, orders, tuple(faults.values()))
 
     def _tick_due(self, now: datetime) -> bool:
-        """A new half hour since the last plan, no plan, or a forecast that is to be tried again."""
+        """A new half hour since the last plan, no plan, its setpoint run out, or a forecast to be tried again."""
         if self.planned_at is None:
             plan = self.memory.plan
             if plan is None:
                 return True
             self.planned_at = plan.made_at
         new_half_hour = slot_start(now) != slot_start(self.planned_at)
-        return new_half_hour or (self.fetch.failures > 0 and self.fetch.due(now))
+        orders = self.memory.orders  # a slot may end inside a half hour: where the session begins, or is due
+        run_out = isinstance(orders, Setpoint) and now >= orders.until
+        return new_half_hour or run_out or (self.fetch.failures > 0 and self.fetch.due(now))
 
     def _fetch(self, now: datetime) -> None:
         """A newer forecast, at most one a half hour; the last good one stays until then."""
@@ -194,17 +215,20 @@ class Cycle:
 
     # -- acting -----------------------------------------------------------------------------------
 
-    def _apply(self, now: datetime, action: Action, reading: Reading | None) -> bool:
+    def _apply(self, now: datetime, action: Action, reading: Reading | None, was_on: bool | None) -> bool:
         """Tell the plug where it is not as wanted. Returns whether the relay was moved."""
         wanted = action.wanted
         same = self.told is not None and _same(self.told, wanted)
         as_wanted = reading is not None and reading.on is is_on(wanted)
         # An "on" that is already on needs no word; an "off" has to be taken once, to arm or disarm its timer.
         if as_wanted and (wanted == Relay(True) or (same and self.switch.failures == 0)):
+            obeyed = same and self.switch.failures > 0 and not was_on  # without an answer, as is seen only now
             self.told = wanted
             self.switch.succeeded()
             self._clear("plug_refuses")
-            return False
+            if obeyed:
+                self._count(now, action)
+            return obeyed
         if same and not self.switch.due(now):
             return False
         self.told = wanted
@@ -222,11 +246,14 @@ class Cycle:
         """Whether the relay has moved; if so, for the dwell times and the switch budget."""
         if self.memory.relay_on is action.on:
             return False
-        ons = self.memory.switch_ons
-        if action.on and action.cause is By.PLAN:
-            ons = (*ons, now)
-        self.memory = replace(self.memory, relay_on=action.on, relay_since=now, switch_ons=ons)
+        self.memory = replace(self.memory, relay_on=action.on, relay_since=now)
+        self._count(now, action)
         return True
+
+    def _count(self, now: datetime, action: Action) -> None:
+        """A switch-on by the plan is on its budget."""
+        if action.on and action.cause is By.PLAN:
+            self.memory = replace(self.memory, switch_ons=(*self.memory.switch_ons, now))
 
     def _tend(self, now: datetime) -> None:
         try:
@@ -264,7 +291,9 @@ class Cycle:
         self.faults.pop((code, what), None)
 
     def _next(self, now: datetime, action: Action) -> datetime:
-        moments = [next_slot(now), action.until, self.plug.due()]
+        moments = [next_slot(now), action.until]
+        if not isinstance(self.plug, Tended):  # that is told its word between the steps
+            moments.append(self.plug.due())
         moments += [retry.at for retry in (self.fetch, self.switch)]
         return min(m for m in moments if m is not None and m > now)
 
@@ -273,4 +302,4 @@ def _same(told: Wanted, wanted: Wanted) -> bool:
     """Whether telling the plug again would say nothing new. A setpoint is renewed before its time is over."""
     if isinstance(told, Relay) or isinstance(wanted, Relay):
         return told == wanted
-    return told.power_kw == wanted.power_kw and told.until >= wanted.until
+    return told.power_kw == wanted.power_kw and told.until > wanted.until - RENEWED

@@ -7,6 +7,7 @@ import signal
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 from types import FrameType
 
@@ -14,23 +15,27 @@ from plugd import perception
 from plugd.adapters.hub import MqttHub, Topics
 from plugd.adapters.mqtt import Broker, MqttConnection
 from plugd.adapters.neso import Neso
-from plugd.adapters.openevse import OpenEvse
-from plugd.adapters.openevse import capability as offered
+from plugd.adapters.openevse import OpenEvse, whole_amps
 from plugd.adapters.plain import PRESETS, Plain
 from plugd.adapters.shelly2 import Shelly2
 from plugd.adapters.store import SqliteStore
 from plugd.adapters.switched import SwitchedPlug
 from plugd.adapters.tasmota import Tasmota
 from plugd.config import Config, household
+from plugd.config.sections import MODULATING
 from plugd.controller import Controller
 from plugd.cycle import Cycle
 from plugd.domain import Capability, Decision, Forecast, Memory
 from plugd.errors import ConfigError, StoreError
 from plugd.planner.qp import Qp
-from plugd.ports import Clock, Plug
+from plugd.ports import Clock, Plug, Tended
+from plugd.units import kw_of
 
 BROKER_PATIENCE_S = 10.0
 """How long a start waits for the broker before it goes on without."""
+
+FETCH_S, CAN_FETCH_S = 10.0, 3.0
+"""How long the forecast may take. A CAN charger that hears nothing for 5 s meanwhile would stop."""
 
 log = logging.getLogger("plugd")
 
@@ -59,10 +64,15 @@ def base_topic(config: Config) -> str:
 
 def capability_of(config: Config) -> Capability:
     """What the configured plug can be told, without asking it."""
-    plug = config.plug
-    if plug.kind == "openevse":
-        return offered(plug.power_kw, plug.max_current_a)
-    return Capability(plug.power_kw, dead_man=plug.kind not in PRESETS)
+    plug, can = config.plug, config.can
+    if plug.kind not in MODULATING:
+        return Capability(plug.power_kw, dead_man=plug.kind not in PRESETS)
+    most_kw = min(plug.power_kw, kw_of(plug.max_current_a, plug.mains_voltage_v))
+    if plug.kind == "can_elcon" and can.max_voltage_v is not None and can.max_current_a is not None:
+        most_kw = min(most_kw, kw_of(can.max_current_a, can.max_voltage_v) / config.car.efficiency)
+    least_kw = min(most_kw, kw_of(plug.min_current_a, plug.mains_voltage_v))
+    capability = Capability(most_kw, modulating=True, power_min_kw=least_kw)
+    return whole_amps(capability, plug.mains_voltage_v) if plug.kind == "openevse" else capability
 
 
 def plug_for(config: Config, connection: MqttConnection, clock: Clock) -> Plug:
@@ -76,18 +86,31 @@ def plug_for(config: Config, connection: MqttConnection, clock: Clock) -> Plug:
             dialect = Shelly2(topic, reply_topic=f"{base_topic(config)}/{connection.name}")
             return SwitchedPlug(connection, clock, topic, dialect, plug.power_kw, plug.dead_man_s)
         case "openevse":
-            return OpenEvse(connection, clock, topic, plug.power_kw, plug.max_current_a)
+            return OpenEvse(connection, clock, topic, capability_of(config), plug.mains_voltage_v)
         case kind if kind in PRESETS:
             words = replace(PRESETS[kind], **plug.mqtt.model_dump(exclude_none=True))
             return SwitchedPlug(connection, clock, topic, Plain(topic, words), plug.power_kw)
+        case "can_elcon":
+            return _can_charger(config, clock)
         case kind:
             raise ConfigError(f'plug.kind = "{kind}": not supported yet; use "tasmota"')
+
+
+def _can_charger(config: Config, clock: Clock) -> Plug:
+    """The charger on CAN. Raises ConfigError where its libraries are not installed, or a DBC cannot be read."""
+    if missing := [name for name in ("cantools", "msgpack", "serial") if find_spec(name) is None]:
+        remedy = "pip install 'plugd[can]', or all of requirements.lock"
+        raise ConfigError(f'plug.kind = "can_elcon": needs {" and ".join(missing)}; {remedy}')
+    from plugd.adapters.can_charger import charger  # only where it is wanted: others need not have its libraries
+
+    return charger(config, capability_of(config), clock)
 
 
 def source_for(config: Config) -> Neso:
     """The forecast source for the configured place."""
     home = config.home
-    return Neso(config.forecast.base_url, home.region_id, home.postcode)
+    timeout_s = CAN_FETCH_S if config.plug.kind == "can_elcon" else FETCH_S
+    return Neso(config.forecast.base_url, home.region_id, home.postcode, timeout_s)
 
 
 def hub_for(config: Config, connection: MqttConnection, plug: Plug) -> MqttHub:
@@ -209,8 +232,12 @@ def run(config: Config, clock: Clock) -> None:
         while not stop.asked:
             due = cycle.step()
             journal.note(cycle.shown)
-            clock.wait(due, connection)
+            cycle.rest(due, connection, lambda: stop.asked)
         if isinstance(hub, MqttHub):
             hub.close()
             connection.flush()
-        log.info("plugd ends; the plug's own timer takes over")
+        if isinstance(cycle.plug, Tended):
+            cycle.plug.close()
+            log.info("plugd ends; the charger is stopped, and stays so until plugd runs again")
+        else:
+            log.info("plugd ends; the plug's own timer takes over")

@@ -123,6 +123,8 @@ class RelayRules:
     min_off_s: float = 600.0
     max_switch_on: int = 6
     random_delay_s: float = 600.0
+    hold_g_per_kwh: float = 5.0
+    """The slot under way and the next are left only for slots cleaner by more than this."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,6 +172,9 @@ class Reading:
     """The relay's new state where it moved since the last reading without being told: a press, a power cut."""
     came_back: bool = False
     """The plug was away (power cut, Wi-Fi, broker) since the last reading."""
+    soc: float | None = None
+    """How full the battery is, where it tells the charger itself (CAN) and its last word is not too old."""
+    soc_at: datetime | None = None
 
 
 class Mode(StrEnum):

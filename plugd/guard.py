@@ -22,7 +22,9 @@ class Need:
 
     session_end: datetime
     energy_kwh: float
-    """In the battery. Zero or less: the minimum is reached."""
+    """In the battery, or where the car takes less as it fills what the whole power would give in the time it needs.
+
+    Zero or less: the minimum is reached."""
 
 
 @dataclass(frozen=True, slots=True)

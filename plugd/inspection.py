@@ -81,18 +81,22 @@ def switch(config: Config, do: str, amps: float | None = None) -> str:
         if do == "show":
             return _told(plug.read())
         running = _daemon_runs(others)
-        plug.set(Relay(do == "on", held=do == "off") if amps is None else _current(plug, clock, amps))
+        plug.set(
+            Relay(do == "on", held=do == "off")
+            if amps is None
+            else _current(plug, clock, amps, config.plug.mains_voltage_v)
+        )
         told = _told(_settled(plug, clock, connection))
         if running:
             return f"{told}; the running plugd takes this as a press of the plug's button"
         return f"{told}; it stays so until somebody switches it, or plugd starts"
 
 
-def _current(plug: Plug, clock: Clock, amps: float) -> Setpoint:
+def _current(plug: Plug, clock: Clock, amps: float, voltage_v: float) -> Setpoint:
     """A charger's setpoint for a day. Raises UsageError for a plain plug."""
     if not plug.capability.modulating:
         raise UsageError("this plug knows on and off only: plugd plug on, or off")
-    return Setpoint(kw_of(max(amps, 0.0)), clock.now() + timedelta(days=1))
+    return Setpoint(kw_of(max(amps, 0.0), voltage_v), clock.now() + timedelta(days=1))
 
 
 def _settled(plug: Plug, clock: Clock, connection: MqttConnection) -> Reading:

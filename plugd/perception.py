@@ -5,11 +5,13 @@ from datetime import datetime, timedelta
 
 from plugd import sessions, soc
 from plugd.beat import next_plug_in
-from plugd.domain import Household, Memory, Mode, Press, Reading
+from plugd.domain import Household, Memory, Mode, Press, Reading, Setpoint, SocEstimate
 
 SMOOTHING = 0.2
 PLAUSIBLE_SHARE = (0.3, 1.2)
 """Of the configured power: outside it a reading says nothing about what the car takes."""
+ALL_SHARE = 0.95
+"""Of a setpoint: a car that takes this much of it is not at a limit of its own."""
 TAPER_SOC = 0.9
 """Above it a car takes less because it is nearly full, which is no sign for another night."""
 BUDGET_SPAN = timedelta(hours=24)
@@ -36,8 +38,11 @@ def perceive(now: datetime, reading: Reading | None, memory: Memory, household: 
 def _seen(now: datetime, reading: Reading, memory: Memory, household: Household) -> Memory:
     """What the plug itself tells."""
     power_kw = household.capability.power_max_kw
-    memory = replace(memory, observed_kw=_observed_kw(reading, memory, power_kw))
-    memory = replace(memory, soc=soc.metered(memory.soc, reading, household.car, power_kw))
+    memory = replace(memory, observed_kw=_observed_kw(reading, memory, household))
+    held_back = isinstance(memory.orders, Setpoint) and memory.orders.power_kw < power_kw
+    metered = soc.metered(memory.soc, reading, household.car, power_kw, held_back=held_back)
+    memory = replace(memory, soc=metered)
+    memory = replace(memory, soc=_told_soc(reading, memory.soc))
     if reading.changed_by_other is not None:
         memory = _pressed(now, reading.changed_by_other, memory, household)
     if reading.on is not memory.relay_on:
@@ -45,6 +50,15 @@ def _seen(now: datetime, reading: Reading, memory: Memory, household: Household)
         since = None if memory.relay_on is None else reading.at
         memory = replace(memory, relay_on=reading.on, relay_since=since)
     return memory
+
+
+def _told_soc(reading: Reading, known: SocEstimate) -> SocEstimate:
+    """A battery that tells its charger how full it is knows better than anybody."""
+    if reading.soc is None or reading.soc_at is None:
+        return known
+    if known.told_at is not None and reading.soc_at <= known.told_at:
+        return known
+    return soc.told(known, reading.soc, reading.soc_at, "car")
 
 
 def _pressed(now: datetime, on: bool, memory: Memory, household: Household) -> Memory:
@@ -64,15 +78,20 @@ def _stay_end(now: datetime, memory: Memory, household: Household) -> datetime |
     return next((stay.late_plug_out for stay in stays if stay.late_plug_out > now), None)
 
 
-def _observed_kw(reading: Reading, memory: Memory, configured_kw: float) -> float | None:
+def _observed_kw(reading: Reading, memory: Memory, household: Household) -> float | None:
     """The power the car really takes, smoothed over readings."""
+    configured_kw = household.capability.power_max_kw
     low, high = (share * configured_kw for share in PLAUSIBLE_SHARE)
     power_kw, known_kw = reading.power_kw, memory.observed_kw
     new = reading.metered_at is not None and reading.metered_at != memory.soc.metered_at
     if not (new and reading.on and power_kw is not None and low <= power_kw <= high):
         return known_kw
-    if memory.soc.mean > TAPER_SOC:
+    if memory.soc.mean > min(TAPER_SOC, household.car.taper_from):
         return known_kw
+    offered_kw = memory.orders.power_kw if isinstance(memory.orders, Setpoint) else configured_kw
+    believed_kw = configured_kw if known_kw is None else known_kw
+    if offered_kw < configured_kw and ALL_SHARE * offered_kw <= power_kw <= believed_kw:
+        return known_kw  # it takes what it is given, and may take more
     return power_kw if known_kw is None else known_kw + SMOOTHING * (power_kw - known_kw)
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from datetime import datetime
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from plugd.domain import (
     Answer,
@@ -77,6 +77,22 @@ class Plug(Protocol):
 
     def due(self) -> datetime | None:
         """When `tend` has something to do."""
+
+
+@runtime_checkable
+class Tended(Protocol):
+    """What a plug has besides where it stops unless it is told something every second (a CAN charger).
+
+    The loop tends it, when `due` says so, while it waits for anything else: never a thread or a kernel's timer, which
+    would go on telling when the loop hangs.
+    """
+
+    @property
+    def line(self) -> Inbox:
+        """What to wait by between two words."""
+
+    def close(self) -> None:
+        """The last word, and the end."""
 
 
 class Hub(Protocol):

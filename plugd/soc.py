@@ -55,20 +55,29 @@ def driven(estimate: SocEstimate, drives: tuple[tuple[datetime, int], ...], car:
     return estimate
 
 
-def metered(estimate: SocEstimate, reading: Reading, car: Car, power_max_kw: float) -> SocEstimate:
-    """Add what the meter counted since the last reading, and notice when the car has stopped taking power."""
+def charged(estimate: SocEstimate, flowed_kwh: float, car: Car) -> SocEstimate:
+    """Add what flowed at the plug, and trust the number a little less."""
+    gain = flowed_kwh * car.efficiency / car.capacity_kwh
+    mean = within(0.0, estimate.mean + gain, 1.0)
+    return replace(estimate, mean=mean, sd=estimate.sd + METER_SHARE * gain)
+
+
+def metered(
+    estimate: SocEstimate, reading: Reading, car: Car, power_max_kw: float, *, held_back: bool = False
+) -> SocEstimate:
+    """Add what the meter counted since the last reading, and notice when the car has stopped taking power.
+
+    `held_back`: a charger was told to give less than it can, so that a small power says nothing of the car.
+    """
     if reading.metered_at is None or (estimate.metered_at is not None and reading.metered_at <= estimate.metered_at):
         return estimate
     flowed_kwh = _flowed_kwh(estimate, reading, power_max_kw)
-    gain = flowed_kwh * car.efficiency / car.capacity_kwh
     estimate = replace(
-        estimate,
-        mean=within(0.0, estimate.mean + gain, 1.0),
-        sd=estimate.sd + METER_SHARE * gain,
+        charged(estimate, flowed_kwh, car),
         meter_kwh=reading.energy_kwh if reading.energy_kwh is not None else estimate.meter_kwh,
         metered_at=reading.metered_at,
     )
-    return _noticed_full(estimate, reading, car)
+    return replace(estimate, peak_kw=0.0, last_kw=0.0) if held_back else _noticed_full(estimate, reading, car)
 
 
 def _flowed_kwh(estimate: SocEstimate, reading: Reading, power_max_kw: float) -> float:

@@ -7,7 +7,6 @@ from typing import TypeGuard
 
 HALF_HOUR = timedelta(minutes=30)
 SLOT_H = 0.5
-NOMINAL_V = 230.0
 
 
 def require_utc(moment: datetime) -> datetime:
@@ -72,19 +71,19 @@ def from_wmin(energy_wmin: float) -> float:
     return energy_wmin / 60000.0
 
 
-def kw_of(current_a: float) -> float:
-    """The power of a current at the nominal voltage, one phase."""
-    return current_a * NOMINAL_V / 1000.0
-
-
-def whole_amps(power_kw: float) -> int:
-    """The whole amperes that such a power can have at most."""
-    return math.floor(power_kw * 1000.0 / NOMINAL_V + 1e-6)
-
-
 def to_w(power_kw: float) -> float:
     """kW to watts, rounded to a tenth."""
     return round(power_kw * 1000.0, 1)
+
+
+def kw_of(current_a: float, voltage_v: float) -> float:
+    """Power of a current at a voltage, one phase or direct current."""
+    return current_a * voltage_v / 1000.0
+
+
+def amps_of(power_kw: float, voltage_v: float) -> float:
+    """Current that carries a power at a voltage above zero, one phase or direct current."""
+    return power_kw * 1000.0 / voltage_v
 
 
 def within(low: float, value: float, high: float) -> float:

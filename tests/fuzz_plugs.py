@@ -14,15 +14,15 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from datetime import timedelta
 
-from plugd.adapters import openevse
 from plugd.adapters.mailbox import Message, Retained
 from plugd.adapters.mqtt import Broker, Mailbox, MqttConnection
+from plugd.adapters.openevse import OpenEvse
 from plugd.adapters.plain import PRESETS, Plain, Words
 from plugd.adapters.plug_words import MAX_ENERGY_KWH, MAX_POWER_KW
 from plugd.adapters.shelly2 import Shelly2
 from plugd.adapters.switched import SwitchedPlug
 from plugd.adapters.tasmota import Tasmota
-from plugd.domain import Relay, Setpoint
+from plugd.domain import Capability, Relay, Setpoint
 from plugd.errors import PlugError
 from plugd.ports import Plug
 from tests.fakes import FakeClock
@@ -116,11 +116,11 @@ class Bench:
 def bench(kind: str) -> Bench:
     """The adapter of a kind."""
     line, clock = Line(), FakeClock()
-    plug: Tasmota | SwitchedPlug | openevse.OpenEvse
+    plug: Tasmota | SwitchedPlug | OpenEvse
     if kind == "tasmota":
         plug = Tasmota(line, clock, "p", 2.3, 3600.0)
     elif kind == "openevse":
-        plug = openevse.OpenEvse(line, clock, "p", 2.3, 10.5)
+        plug = OpenEvse(line, clock, "p", Capability(2.3, modulating=True, power_min_kw=1.38))
     else:
         words = NESTED if kind == "mqtt" else PRESETS.get(kind)
         dialect = Shelly2("p", "me") if words is None else Plain("p", words)

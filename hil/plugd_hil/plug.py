@@ -44,7 +44,7 @@ class Scene:
         self._soc_topic = soc_topic
         self._on = plug.board.on
         self._boundary = next_slot(plug.board.now)
-        self._note("start")
+        self.note("start")
 
     def due(self) -> datetime:
         """When something happens next."""
@@ -60,21 +60,21 @@ class Scene:
                 said += self.leave() if self.car.connected else self.arrive()
             if due == self._boundary:
                 self._boundary += HALF_HOUR
-                self._note("slot")
+                self.note("slot")
         return said + self.watch(self.plug.board.advance(to))
 
     def watch(self, said: list[Said]) -> list[Said]:
         """Writes down when the relay has moved."""
         if self.plug.board.on is not self._on:
             self._on = self.plug.board.on
-            self._note("on" if self._on else "off")
+            self.note("on" if self._on else "off")
         return said
 
     def arrive(self) -> list[Said]:
         """The car is plugged in, and tells its SOC where it can."""
         self.car.arrive()
         said = self.plug.load_changed()
-        self._note("arrive")
+        self.note("arrive")
         percent = to_pct(self.car.battery.soc)
         return [*said, *([Said(self._soc_topic, f"{percent:.1f}", qos=1)] if self._soc_topic else [])]
 
@@ -82,7 +82,7 @@ class Scene:
         """The car is unplugged, and driven: what it uses is gone from the next line on."""
         self.car.leave()
         said = self.plug.load_changed()
-        self._note("leave")
+        self.note("leave")
         self.car.drive()
         return said
 
@@ -104,18 +104,19 @@ class Scene:
             case ["soc", percent]:
                 self.car.battery.energy_kwh = from_pct(float(percent)) * self.car.battery.capacity_kwh
                 said = self.plug.load_changed()
-                self._note("soc")
+                self.note("soc")
                 return said
             case _:
                 raise ValueError(f"stub plug: {line.strip()!r} is no order")
         return []
 
-    def _note(self, event: str) -> None:
+    def note(self, event: str, **more: float) -> None:
+        """A line of the ledger."""
         if self._ledger is None:
             return
         line = {
             "at": self.plug.board.now.isoformat(), "event": event, "soc": self.car.battery.soc,
-            "energy_kwh": self.plug.board.total_kwh, "on": self.plug.board.on, "connected": self.car.connected,
+            "energy_kwh": self.plug.board.total_kwh, "on": self.plug.board.on, "connected": self.car.connected, **more,
         }  # fmt: skip
         print(json.dumps(line), file=self._ledger, flush=True)
 

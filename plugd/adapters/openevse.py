@@ -7,6 +7,7 @@ and cannot be asked. `amp` is in mA, `wh` in Wh (ESP32 firmware `mqtt.cpp`, `inp
 """
 
 import json
+import math
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
@@ -17,7 +18,7 @@ from plugd.adapters.plug_words import MAX_ENERGY_KWH, MAX_POWER_KW, Heard, bound
 from plugd.domain import Capability, Fault, Reading, Relay, Setpoint, Wanted
 from plugd.errors import PlugError, PlugFault, PlugRefused
 from plugd.ports import Clock
-from plugd.units import NOMINAL_V, from_w, from_wh, kw_of, whole_amps
+from plugd.units import amps_of, from_w, from_wh, kw_of
 
 LEAST_A = 6
 """A pilot signal can offer no less, but nothing (IEC 61851)."""
@@ -43,12 +44,15 @@ class OpenEvse:
     """Implements `plugd.ports.Plug`, as a charger that takes any power in steps of an ampere."""
 
     def __init__(
-        self, connection: MqttConnection, clock: Clock, topic: str, power_max_kw: float = 7.36, max_a: float = 32.0
+        self, connection: MqttConnection, clock: Clock, topic: str, capability: Capability, voltage_v: float = 230.0
     ) -> None:
-        """`topic` is its base topic. Never more than `max_a`. Raises ValueError for less than 6 A."""
+        """`topic` is its base topic, `capability` in whole amperes (`whole_amps`) at that voltage."""
         self._topic = topic
-        self._capability = capability(power_max_kw, max_a)
-        self._max_a = whole_amps(self._capability.power_max_kw)
+        self._capability = capability
+        self._volts = voltage_v
+        self._least_a, self._most_a = (
+            round(amps_of(kw, voltage_v)) for kw in (capability.power_min_kw, capability.power_max_kw)
+        )
         self._plug = PlugMemory(dead_man_s=None, tells_uptime=False)
         filters = (
             *((f"{topic}/{name}", Retained.LIVE) for name in ("state", "amp", "voltage", "wh", "manual_override")),
@@ -59,7 +63,7 @@ class OpenEvse:
         self._device: str | None = None
         self._claim: Claim | None = None
         self._state: int | None = None
-        self._voltage_v = NOMINAL_V
+        self._measured_v = voltage_v
         self._overridden = False
 
     # -- the port ---------------------------------------------------------------------------------
@@ -101,12 +105,12 @@ class OpenEvse:
         """The nearest whole ampere. Raises PlugRefused for a power that it cannot give."""
         if power_kw == 0.0:
             return None
-        amps = round(power_kw / kw_of(1))
+        amps = round(amps_of(power_kw, self._volts))
         # The nearest may be a little over what was asked; it never is over what is allowed.
         if power_kw < self._capability.power_min_kw - 1e-6 or power_kw > self._capability.power_max_kw + 1e-6:
-            offered = f"from {LEAST_A} to {self._max_a} A"
+            offered = f"from {self._least_a} to {self._most_a} A"
             raise PlugRefused(f"{self._line.name}: {power_kw:g} kW is not what it does ({offered}, or nothing)")
-        return min(max(amps, LEAST_A), self._max_a)
+        return min(max(amps, self._least_a), self._most_a)
 
     def _disobedience(self, claim: Claim, since_s: float) -> PlugError:
         plug, name = self._plug, self._line.name
@@ -156,12 +160,12 @@ class OpenEvse:
         """One of the values that it tells one by one."""
         heard = Heard()
         if name == "voltage":
-            self._voltage_v = bounded(value, MAX_V)[0] or self._voltage_v
+            self._measured_v = bounded(value, MAX_V)[0] or self._measured_v
         elif name == "manual_override":
             self._overridden = value == 1.0
         elif name == "amp":
             amps, bad = bounded(None if value is None else value / 1000.0, MAX_A)
-            power_kw = None if amps is None else min(from_w(amps * self._voltage_v), MAX_POWER_KW)
+            power_kw = None if amps is None else min(from_w(amps * self._measured_v), MAX_POWER_KW)
             heard = Heard(metered=True, partial=True, power_kw=power_kw, nonsense=bad)
         elif name == "wh":
             energy_kwh, bad = bounded(None if value is None else from_wh(value), MAX_ENERGY_KWH)
@@ -188,12 +192,12 @@ class OpenEvse:
             self._plug.back()  # the claim that it tells next is news
 
 
-def capability(power_max_kw: float, max_a: float) -> Capability:
-    """What such a charger can be told. Raises ValueError for less than 6 A."""
-    most_a = whole_amps(min(power_max_kw, kw_of(max_a)))
-    if most_a < LEAST_A:
-        raise ValueError(f"a charger cannot offer less than {LEAST_A} A ({kw_of(LEAST_A):.2f} kW)")
-    return Capability(kw_of(most_a), modulating=True, power_min_kw=kw_of(LEAST_A))
+def whole_amps(capability: Capability, voltage_v: float) -> Capability:
+    """The same in whole amperes, from 6 up: never more than it was, nor less than its least but for that."""
+    most_a = max(LEAST_A, math.floor(amps_of(capability.power_max_kw, voltage_v) + 1e-6))
+    least_a = min(most_a, max(LEAST_A, math.ceil(amps_of(capability.power_min_kw, voltage_v) - 1e-6)))
+    most_kw, least_kw = kw_of(most_a, voltage_v), kw_of(least_a, voltage_v)
+    return Capability(most_kw, modulating=True, power_min_kw=least_kw)
 
 
 def _spoken(claim: Claim) -> str:

@@ -11,7 +11,7 @@ from pydantic_core import PydanticCustomError
 
 from plugd.config import values
 from plugd.config.values import Clock, File, Percent, PlugKind, PlugTopic, Text, Topic, Weekday, Window, Word
-from plugd.units import kw_of, whole_amps
+from plugd.units import kw_of
 
 
 class Section(BaseModel):
@@ -72,17 +72,25 @@ class PlugSection(Section):
     topic: Topic | None = None
     power_kw: Annotated[float, Field(ge=0.1, le=50)] = 2.3
     max_current_a: Annotated[float, Field(ge=1, le=80)] = 10.5
+    min_current_a: Annotated[float, Field(ge=6, le=80)] = 6.0
+    """The least a charger gives, or nothing (IEC 61851: 6 A). Not for plugs that are on or off."""
+    mains_voltage_v: Annotated[float, Field(ge=100, le=260)] = 230.0
     dead_man_s: Annotated[int, Field(ge=10, le=64800)] = 3600
     """After how long without word from plugd the plug comes on by itself. Under 60 s only on a test bench."""
     mqtt: MqttPlugSection = MqttPlugSection()
 
 
 class CanSection(Section):
-    """The CAN bus of a charger with `kind = "can_elcon"`, in python-can's words."""
+    """The CAN bus of a charger with `kind = "can_elcon"`, in python-can's words, and what its battery bears."""
 
-    interface: Text = "socketcan"
+    interface: Literal["socketcan", "slcan", "udp_multicast"] = "socketcan"
     channel: Text = "can0"
     bitrate: Annotated[int, Field(ge=10_000, le=1_000_000)] = 250_000
+    max_voltage_v: Annotated[float, Field(ge=10, le=1000)] | None = None
+    max_current_a: Annotated[float, Field(ge=0.5, le=500)] | None = None
+    soc: Literal["pylontech", "orion"] | None = None
+    soc_dbc: File | None = None
+    soc_signal: Text | None = None
 
 
 class CarSection(Section):
@@ -192,6 +200,13 @@ def at(config: Config, key: str) -> Any:
 WORDED = ("mqtt", "shelly1", "zigbee2mqtt", "esphome")
 """Kinds whose words [plug.mqtt] may change."""
 NEEDED = ("command_topic", "command_on", "command_off", "state_topic", "state_on", "state_off")
+MODULATING = ("can_elcon", "openevse")
+"""Kinds that take a power, and not only on and off."""
+
+
+def _is_can(config: Config) -> bool:
+    return config.plug.kind == "can_elcon"
+
 
 IMPOSSIBLE: tuple[tuple[str, Callable[[Config], bool], str], ...] = (
     (
@@ -200,9 +215,34 @@ IMPOSSIBLE: tuple[tuple[str, Callable[[Config], bool], str], ...] = (
         'write topic = "..." under [plug]: the name that the plug itself uses on the broker',
     ),
     (
+        "plug.min_current_a",
+        lambda c: c.plug.kind in MODULATING and c.plug.min_current_a > c.plug.max_current_a,
+        "is more than plug.max_current_a; lower it, or raise that",
+    ),
+    (
         "plug.power_kw",
-        lambda c: c.plug.kind == "openevse" and whole_amps(min(c.plug.power_kw, kw_of(c.plug.max_current_a))) < 6,
-        "is less than the 6 A (1.38 kW) that a charger offers at least; raise it, or plug.max_current_a",
+        lambda c: c.plug.kind in MODULATING and c.plug.power_kw < kw_of(c.plug.min_current_a, c.plug.mains_voltage_v),
+        "is less than plug.min_current_a gives at plug.mains_voltage_v; raise it",
+    ),
+    (
+        "can.max_voltage_v",
+        lambda c: _is_can(c) and c.can.max_voltage_v is None,
+        "write the highest voltage that the battery bears, from its own papers: the charger is never asked for more",
+    ),
+    (
+        "can.max_current_a",
+        lambda c: _is_can(c) and c.can.max_current_a is None,
+        "write the highest charging current that the battery bears, from its own papers",
+    ),
+    (
+        "can.soc",
+        lambda c: c.can.soc is not None and c.can.soc_dbc is not None,
+        "stands beside can.soc_dbc; keep one of them",
+    ),
+    (
+        "can.soc_signal",
+        lambda c: (c.can.soc_signal is None) is not (c.can.soc_dbc is None),
+        "can.soc_dbc and can.soc_signal belong together; write both or none",
     ),
     (
         "plug.mqtt",

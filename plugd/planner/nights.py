@@ -1,11 +1,12 @@
 """From sessions, outlook and SOC to the solver's problem, and from its answer back to a plan with times."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from datetime import datetime, timedelta
+from functools import lru_cache
 
 from plugd.domain import Household, Intensity, Outlook, Plan, PlanSlot, Series, Session, SessionPlan
-from plugd.planner import end_value
+from plugd.planner import end_value, taper
 from plugd.planner.problem import Problem, ProblemSession, Solution
 from plugd.sessions import DAY, cautious_use_kwh
 from plugd.units import HALF_HOUR, SLOT_H, hours, next_slot, pieces, slot_start, span_h
@@ -35,6 +36,23 @@ class Part:
     pieces: tuple[Piece, ...]
     minimum_kwh: float
     daily_use_kwh: float
+    slots: tuple[datetime, ...]
+    """The half hour that holds each piece."""
+    slot_h: Series
+    limit_kw: Series
+
+
+def _part(session: Session, found: tuple[Piece, ...], minimum_kwh: float, daily_use_kwh: float) -> Part:
+    """A row with its columns in the solver's terms."""
+    return Part(
+        session,
+        found,
+        minimum_kwh,
+        daily_use_kwh,
+        slots=tuple(slot_start(p.start) for p in found),
+        slot_h=tuple(hours(p.end - p.start) for p in found),
+        limit_kw=tuple(p.limit_kw for p in found),
+    )
 
 
 def _cut(start: datetime, end: datetime, now: datetime, limit_kw: float) -> Iterator[Piece]:
@@ -59,7 +77,7 @@ def _tonight(
     minimum_kwh = session.minimum * car.capacity_kwh
     if 0.0 < minimum_kwh - energy_kwh < MET_KWH:
         minimum_kwh = energy_kwh
-    need_kwh = max(0.0, minimum_kwh - energy_kwh)
+    need_kwh = max(0.0, taper.flat_kwh(car, energy_kwh, minimum_kwh))
     early = timedelta(seconds=household.guard_margin_s + household.planner_slack_s)
     deadline = max(session.end - early, session.start)
     stretch = span_h(need_kwh / (GUARD_SHARE * power_kw * car.efficiency))
@@ -68,10 +86,10 @@ def _tonight(
     if need_kwh > 0.0 and early:
         before, after = _derated(before, deadline - stretch), _derated(after, deadline)
     passed = now >= deadline or deadline == session.start
-    whole = Part(session, after or before, minimum_kwh, session.daily_use_kwh)
+    whole = _part(session, after or before, minimum_kwh, session.daily_use_kwh)
     if not (before and after):  # without a margin there is one row, and the day's driving comes after it
         return (whole,)
-    return Part(session, before, 0.0 if passed else minimum_kwh, 0.0), whole
+    return _part(session, before, 0.0 if passed else minimum_kwh, 0.0), whole
 
 
 def layout(
@@ -83,9 +101,15 @@ def layout(
         if not parts:
             parts.extend(_tonight(session, now, energy_kwh, power_kw, household))
         else:
-            cut = tuple(_cut(session.start, session.end, now, power_kw))
-            parts.append(Part(session, cut, session.minimum * household.car.capacity_kwh, session.daily_use_kwh))
+            parts.append(_later(session, power_kw, household.car.capacity_kwh))
     return tuple(parts)
+
+
+@lru_cache(maxsize=32)
+def _later(session: Session, power_kw: float, capacity_kwh: float) -> Part:
+    """A session that has not begun: the same at every tick before it."""
+    found = tuple(_cut(session.start, session.end, session.start, power_kw))
+    return _part(session, found, session.minimum * capacity_kwh, session.daily_use_kwh)
 
 
 def problem(
@@ -101,6 +125,25 @@ def problem(
     `history`: recent intensities, for what energy left at the end is worth.
     """
     g_per_kwh = {slot.start: slot.g_per_kwh for slot in outlook.slots}
+    worth = end_worth(
+        tuple(dict.fromkeys(part.session for part in parts)),
+        g_per_kwh,
+        history,
+        household,
+        max((kw for part in parts for kw in part.limit_kw), default=0.0),
+    )
+    return stated(parts, g_per_kwh, energy_kwh, previous, household, worth)
+
+
+def stated(
+    parts: tuple[Part, ...],
+    g_per_kwh: Mapping[datetime, float],
+    energy_kwh: float,
+    previous: Plan | None,
+    household: Household,
+    worth: end_value.Steps,
+) -> Problem:
+    """The solver's problem from the intensity of each half hour to come and the worth of energy left at the end."""
     typical = sum(g_per_kwh.values()) / max(1, len(g_per_kwh))
     before = {} if previous is None else {slot_start(s.start): s.power_kw for s in previous.slots()}
     car = household.car
@@ -111,37 +154,48 @@ def problem(
         sessions=tuple(
             ProblemSession(
                 # An elapsed slot has no number any more; it takes no power, so any will do.
-                intensity_g_per_kwh=tuple(g_per_kwh.get(slot_start(p.start), typical) for p in part.pieces),
-                slot_h=tuple(hours(p.end - p.start) for p in part.pieces),
-                power_max_kw=tuple(p.limit_kw for p in part.pieces),
+                intensity_g_per_kwh=tuple(g_per_kwh.get(slot, typical) for slot in part.slots),
+                slot_h=part.slot_h,
+                power_max_kw=part.limit_kw,
                 minimum_kwh=part.minimum_kwh,
                 ceiling_kwh=part.session.ceiling * car.capacity_kwh,
                 daily_use_kwh=part.daily_use_kwh,
                 # A car seen to take less than the charger's least is no reason to give it nothing.
                 power_min_kw=min(
                     household.capability.power_min_kw,
-                    min((p.limit_kw for p in part.pieces if p.limit_kw > 0.0), default=0.0),
+                    min((kw for kw in part.limit_kw if kw > 0.0), default=0.0),
                 ),
             )
             for part in parts
         ),
-        end_value=_end_value(parts, g_per_kwh, history, household) if household.end_value else (),
+        end_value=worth,
         previous_power_kw=tuple(
-            tuple(min(before.get(slot_start(p.start), 0.0), p.limit_kw) for p in part.pieces) for part in parts
+            tuple(min(before.get(slot, 0.0), kw) for slot, kw in zip(part.slots, part.limit_kw, strict=True))
+            for part in parts
         )
         if before
         else None,
     )
 
 
-def _end_value(
-    parts: tuple[Part, ...], outlook: dict[datetime, float], history: tuple[Intensity, ...], household: Household
+def end_worth(
+    sessions: tuple[Session, ...],
+    outlook: Mapping[datetime, float],
+    history: tuple[Intensity, ...],
+    household: Household,
+    power_kw: float,
 ) -> end_value.Steps:
-    """The worth of energy above the last session's minimum, from nights like the recent ones."""
-    car, last = household.car, parts[-1].session
-    power_kw = max((piece.limit_kw for part in parts for piece in part.pieces), default=0.0)
+    """The worth of energy above the last session's minimum, from nights like the recent ones.
+
+    `power_kw`: what the car takes. From four nights on there is usually none, and nothing to work out: what the
+    plan is too cautious about fills the room.
+    """
+    car, last = household.car, sessions[-1]
+    room_kwh = (last.ceiling - last.minimum) * car.capacity_kwh
+    spare_kwh = max(0.0, cautious_use_kwh(car, household.nights.confidence) - car.daily_use_kwh) * (len(sessions) - 1)
+    if not household.end_value or spare_kwh >= room_kwh:
+        return ()
     past = {value.start: value.g_per_kwh for value in history}
-    sessions = tuple(dict.fromkeys(part.session for part in parts))  # the first one has two parts
     tonight = sessions[0]
     known = [_night(past, tonight.start - n * DAY, tonight.end - n * DAY) for n in range(1, PAST_NIGHTS + 1)]
     if sum(map(bool, known)) < ENOUGH_NIGHTS:
@@ -150,14 +204,13 @@ def _end_value(
         tuple(filter(None, known)),
         slot_kwh=power_kw * SLOT_H * car.efficiency,
         use_kwh=car.daily_use_kwh,
-        room_kwh=(last.ceiling - last.minimum) * car.capacity_kwh,
+        room_kwh=room_kwh,
         efficiency=car.efficiency,
     )
-    spare_kwh = cautious_use_kwh(car, household.nights.confidence) - car.daily_use_kwh
-    return end_value.beyond(found, max(0.0, spare_kwh) * (len(sessions) - 1))
+    return end_value.beyond(found, spare_kwh)
 
 
-def _night(g_per_kwh: dict[datetime, float], start: datetime, end: datetime) -> Series:
+def _night(g_per_kwh: Mapping[datetime, float], start: datetime, end: datetime) -> Series:
     """The whole half hours of a night; nothing where less than half of them is known."""
     slot, slots = start if slot_start(start) == start else next_slot(start), 0
     found = []
@@ -170,8 +223,16 @@ def _night(g_per_kwh: dict[datetime, float], start: datetime, end: datetime) -> 
 
 
 def plan(now: datetime, parts: tuple[Part, ...], stated: Problem, solution: Solution, household: Household) -> Plan:
-    """The solution with its times; the two parts of the first session are one again."""
-    found: list[SessionPlan] = []
+    """The solution with its times."""
+    found = tuple(session_plans(now, parts, stated, solution, household))
+    return Plan(now, found, solution.status, solution.solver, solution.carbon_g, solution.gap)
+
+
+def session_plans(
+    now: datetime, parts: tuple[Part, ...], stated: Problem, solution: Solution, household: Household
+) -> Iterator[SessionPlan]:
+    """The sessions of a plan, the one under way first; the two parts of the first session are one again."""
+    found: SessionPlan | None = None
     for part, terms, power_kw, end_kwh, short_kwh in zip(
         parts, stated.sessions, solution.power_kw, solution.energy_kwh, solution.shortfall_kwh, strict=True
     ):
@@ -182,8 +243,11 @@ def plan(now: datetime, parts: tuple[Part, ...], stated: Problem, solution: Solu
             )
             if p.end > now
         )
-        if found and found[-1].session is part.session:
-            slots = found.pop().slots + slots
+        if found is not None and found.session is part.session:
+            slots = found.slots + slots
+        elif found is not None:
+            yield found
         soc_end = end_kwh / household.car.capacity_kwh
-        found.append(SessionPlan(part.session, slots, soc_end, short_kwh if short_kwh >= MET_KWH else 0.0))
-    return Plan(now, tuple(found), solution.status, solution.solver, solution.carbon_g, solution.gap)
+        found = SessionPlan(part.session, slots, soc_end, short_kwh if short_kwh >= MET_KWH else 0.0)
+    if found is not None:
+        yield found

@@ -7,10 +7,11 @@ a slot, not the one it begins with (at 10 kW half an hour is a tenth of the batt
 
 from collections.abc import Iterator
 from dataclasses import replace
-from math import exp
+from math import exp, log
 
 from plugd.domain import Car
 from plugd.planner.problem import Problem, ProblemSession, Series, Solution, Solver
+from plugd.units import within
 
 FREE_PASSES = 3
 """From then on limits only fall, so that they come to rest."""
@@ -34,6 +35,22 @@ def reached_kwh(car: Car, energy_kwh: float, power_kw: float, for_h: float) -> f
     above_kwh = min(max(energy_kwh, knee_kwh) - knee_kwh, car.capacity_kwh - knee_kwh)
     gained_kwh = (1.0 / k - above_kwh) * (1.0 - exp(-rate_kw * k * (for_h - to_knee_h)))
     return max(energy_kwh, knee_kwh) + gained_kwh
+
+
+def flat_kwh(car: Car, energy_kwh: float, target_kwh: float) -> float:
+    """What the full power would have given in the time that it takes from `energy_kwh` to `target_kwh`, battery kWh.
+
+    The inverse of `reached_kwh`, whatever the power: as the car takes less, its time stretches. Below 0 where there
+    is more than the target.
+    """
+    missing_kwh = target_kwh - energy_kwh
+    knee_kwh = car.taper_from * car.capacity_kwh
+    if car.taper_from >= 1.0 or car.taper_share >= 1.0 or missing_kwh <= 0.0 or target_kwh <= knee_kwh:
+        return missing_kwh
+    width_kwh = car.capacity_kwh - knee_kwh
+    k = (1.0 - car.taper_share) / width_kwh
+    first_kwh, last_kwh = (within(0.0, kwh - knee_kwh, width_kwh) for kwh in (energy_kwh, target_kwh))
+    return max(0.0, knee_kwh - energy_kwh) + log((1.0 - k * first_kwh) / (1.0 - k * last_kwh)) / k
 
 
 def limits_kw(car: Car, asked: Problem, power_kw: tuple[Series, ...], *, taken: bool = False) -> tuple[Series, ...]:

@@ -27,7 +27,7 @@ from plugd.domain import (
 )
 from plugd.planner.problem import Solver
 from plugd.ports import Inbox
-from plugd.study.world import Battery, Stay
+from plugd.study.world import Battery, Morning, Stay
 from plugd.units import HALF_HOUR, hours, pieces, slot_start
 
 
@@ -175,23 +175,6 @@ class RamStore:
         while self.seen and next(iter(self.seen)) < since:
             del self.seen[next(iter(self.seen))]
         return tuple(self.seen.values())
-
-
-@dataclass(frozen=True, slots=True)
-class Morning:
-    """One session end, as it really was."""
-
-    end: datetime
-    minimum: float
-    soc: float
-    best_soc: float
-    """What charging without a pause since arrival would have reached, up to the limit."""
-    here: bool
-
-    @property
-    def missed(self) -> bool:
-        """More than half a point under a minimum that was reachable, with the car there."""
-        return self.here and self.soc < min(self.minimum, self.best_soc) - 0.005
 
 
 @dataclass(slots=True)

@@ -111,3 +111,25 @@ class Driver:
             if stay.departure > start:
                 yield stay
             evening += timedelta(days=1)
+
+
+@dataclass(frozen=True, slots=True)
+class Morning:
+    """One session end, as it really was."""
+
+    end: datetime
+    minimum: float
+    soc: float
+    best_soc: float
+    """What charging without a pause since arrival would have reached, up to the limit."""
+    here: bool
+
+    @property
+    def missed(self) -> bool:
+        """More than half a point under a minimum that was reachable, with the car there."""
+        return self.here and self.soc < min(self.minimum, self.best_soc) - 0.005
+
+    @property
+    def missed_by(self) -> float:
+        """How far it was missed, as a share of the battery; 0 where it was not."""
+        return min(self.minimum, self.best_soc) - self.soc if self.missed else 0.0

@@ -8,8 +8,8 @@ from datetime import timedelta
 
 import pytest
 
-from plugd.adapters.openevse import OpenEvse, capability
-from plugd.domain import Reading, Relay, Setpoint
+from plugd.adapters.openevse import OpenEvse, whole_amps
+from plugd.domain import Capability, Reading, Relay, Setpoint
 from plugd.errors import PlugFault, PlugRefused, PlugTimeout
 from plugd_hil.openevse import OpenEvseCharger
 from plugd_hil.outlet import Said
@@ -54,22 +54,20 @@ def bench() -> Bench:
     """A charger of 7.36 kW that tells everything every 30 s."""
     wire = Wire(lambda car, now: OpenEvseCharger("ev-plug", car, now))
     clock = WireClock(wire)
-    bench = Bench(OpenEvse(wire, clock, "ev-plug", 7.36, 32.0), clock, wire)
+    bench = Bench(OpenEvse(wire, clock, "ev-plug", Capability(7.36, modulating=True, power_min_kw=1.38)), clock, wire)
     bench.charger.read()
     return bench
 
 
 @pytest.mark.parametrize(
-    ("power_kw", "max_a", "most_kw"), [(7.36, 32.0, 7.36), (7.4, 32.0, 7.36), (7.36, 10.5, 2.3), (1.38, 32.0, 1.38)]
+    ("most_kw", "least_kw", "whole"),
+    [(7.36, 1.38, (7.36, 1.38)), (7.4, 1.38, (7.36, 1.38)), (2.415, 1.5, (2.3, 1.61)), (1.38, 1.38, (1.38, 1.38))],
 )
-def test_the_most_is_whole_amperes_within_both_limits(power_kw: float, max_a: float, most_kw: float) -> None:
-    assert capability(power_kw, max_a).power_max_kw == pytest.approx(most_kw)
-    assert capability(power_kw, max_a).power_min_kw == pytest.approx(1.38)
-
-
-def test_less_than_six_amperes_is_no_charger() -> None:
-    with pytest.raises(ValueError, match="less than 6 A"):
-        capability(1.37, 32.0)
+def test_what_it_can_do_is_whole_amperes_within_the_limits(
+    most_kw: float, least_kw: float, whole: tuple[float, float]
+) -> None:
+    found = whole_amps(Capability(most_kw, modulating=True, power_min_kw=least_kw), 230.0)
+    assert (found.power_max_kw, found.power_min_kw) == pytest.approx(whole)
 
 
 def test_the_nearest_ampere_is_claimed_once(bench: Bench) -> None:

@@ -18,6 +18,7 @@ from plugd.ports import Clock, Plug
 from plugd_hil.broker import Mosquitto
 from plugd_hil.plug import DIALECTS
 from plugd_hil.plug import parser as stub_parser
+from tests.contract.can_rig import can_slcan
 from tests.fakes import FakeCharger, FakeClock, FakePlug
 from tests.wire import Wire, WireClock
 
@@ -271,12 +272,13 @@ RIGS = {
     "fake charger": fake_charger,
     **{kind: stubbed(kind) for kind in KINDS},
     BARE: stubbed("mqtt", NO_METER),
+    "can slcan": can_slcan,
     **{f"{kind} on a wire": wired(kind) for kind in KINDS},
     f"{BARE} on a wire": wired("mqtt", NO_METER),
 }
 WITH_DEAD_MAN = ("fake plug", "tasmota", "shelly2", "tasmota on a wire", "shelly2 on a wire")
 WITHOUT_DEAD_MAN = tuple(name for name in RIGS if name not in WITH_DEAD_MAN)
-WITH_BUTTON = tuple(name for name in RIGS if name != "fake charger")
+WITH_BUTTON = tuple(name for name in RIGS if name not in ("fake charger", "can slcan"))
 OVER_A_BROKER = (*KINDS, BARE)
 SLOW = tuple(kind for kind in OVER_A_BROKER if kind != "tasmota")
 """Over a real broker in real time only with --every-plug, but for what is quick; on a wire in every run."""

@@ -6,6 +6,7 @@ import pytest
 
 from plugd.domain import Relay, Setpoint
 from plugd.errors import PlugRefused, PlugTimeout
+from plugd.ports import Tended
 from tests.contract.rigs import WITH_BUTTON, WITH_DEAD_MAN, WITHOUT_DEAD_MAN, Rig, eventually, order
 
 FRESH = timedelta(seconds=60)
@@ -147,9 +148,9 @@ def test_a_power_cut_is_no_press(rig: Rig) -> None:
     assert not rig.plug.read().came_back
 
 
-def test_without_a_dead_man_nothing_is_renewed(rig: Rig) -> None:
+def test_what_has_no_dead_man_and_need_not_be_tended_is_not_renewed(rig: Rig) -> None:
     rig.plug.set(order(rig, False))
-    assert (rig.plug.due() is not None) is rig.plug.capability.dead_man
+    assert (rig.plug.due() is not None) is (rig.plug.capability.dead_man or isinstance(rig.plug, Tended))
 
 
 @pytest.mark.about(WITHOUT_DEAD_MAN)
@@ -157,5 +158,3 @@ def test_without_a_dead_man_off_stays_off_with_nobody_there(rig: Rig) -> None:
     rig.plug.set(order(rig, False))
     reading = eventually(rig, lambda reading: reading.on, 1.5)
     assert not reading.on
-    rig.plug.tend(rig.clock.now())
-    assert rig.plug.due() is None

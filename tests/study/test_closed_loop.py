@@ -10,7 +10,7 @@ import pytest
 from hypothesis import Phase, assume, given, settings
 from hypothesis import strategies as st
 
-from plugd.domain import Capability, Household, Nights, RelayRules
+from plugd.domain import Capability, Car, Household, Nights, RelayRules
 from plugd.planner.exact import Exact
 from plugd.planner.problem import Problem, Solution
 from plugd.planner.qp import Qp
@@ -179,6 +179,19 @@ def test_a_restart_in_the_night_changes_nothing() -> None:
         return sorted(house.plug.flows.items())
 
     assert carbon(restart=True) == carbon(restart=False)
+
+
+def test_a_car_that_takes_less_as_it_fills_is_ready_and_the_guard_sleeps() -> None:
+    """A minimum above the taper, and a forecast that is always cleanest last."""
+    car = Car(taper_from=0.4, taper_share=0.2)
+    household = Household(car=car, nights=Nights(horizon=1, minimum=0.9), capability=Capability(7.4, dead_man=True))
+    source = FunctionSource(lambda issued, slot: 300.0 - (slot.hour - 12) % 24)
+    battery = Battery(energy_kwh=30.0, taper_from=0.4, full=1.15)  # the same line: a fifth of the power at 100 %
+    house = House(household, Exact(), source, nights_of((1, 0, 9), (1, 0, 9), (1, 0, 9)), START, battery)
+    house.run(START + timedelta(days=3))
+    assert [m.end.day for m in house.mornings] == [3, 4, 5]
+    assert all(m.soc >= 0.9 for m in house.mornings)
+    assert not [at for at in house.guarded if at > START + timedelta(days=1)]
 
 
 def test_energy_is_conserved() -> None:

@@ -103,6 +103,7 @@ class Source:
 
     error: ForecastError | None = None
     slots: int = 96
+    level: Callable[[datetime], float] | None = None
     asked: list[datetime] = field(default_factory=list)
 
     def fetch(self, now: datetime) -> Forecast:
@@ -110,7 +111,7 @@ class Source:
         self.asked.append(now)
         if self.error is not None:
             raise self.error
-        return forecast(now, self.slots)
+        return forecast(now, self.slots, self.level)
 
 
 @dataclass(slots=True)

@@ -21,6 +21,8 @@ from plugd.domain import (
     Setpoint,
 )
 from plugd.perception import fresh
+from plugd.planner import taper
+from plugd.units import hours
 from tests.unit.deciding import CHARGER, EVENING, HOME, NIGHT, NOON, READY_BY, at, home, knows, minutes, switching
 
 RATE_KW = 0.9 * 2.3 * 0.9
@@ -116,6 +118,15 @@ def test_the_guard_uses_the_power_that_was_seen() -> None:
     lead = READY_BY - last_safe_start(LOW) - timedelta(seconds=2400)
     start = READY_BY - timedelta(seconds=2400) - 2 * lead
     assert ask(slow, NIGHT).verdict.last_safe_start == pytest.approx(start, abs=timedelta(seconds=1))
+
+
+def test_the_guard_starts_earlier_for_a_car_that_takes_less_as_it_fills() -> None:
+    tapers = replace(HOME, car=replace(HOME.car, taper_from=0.4, taper_share=0.2))
+    start = ask(meaning(LOW), household=tapers).verdict.last_safe_start
+    assert start
+    lead = READY_BY - start - timedelta(seconds=tapers.guard_margin_s)
+    assert taper.reached_kwh(tapers.car, LOW * 50, 0.9 * 2.3, hours(lead)) == pytest.approx(25.0, abs=1e-3)
+    assert start < last_safe_start(LOW)
 
 
 def test_the_guard_counts_on_the_cautious_soc() -> None:

@@ -218,8 +218,12 @@ REFUSED = [
     ('broker.ca_file = "/x"', 'broker.ca_file = "/x"', "write broker.tls = true"),
     ('[plug]\ntopic = "a"\nmqtt.state_on = "1"', "plug.mqtt", "counts only for plug.kind mqtt, shelly1"),
     ('[plug]\ntopic = "a"\nkind = "mqtt"\nmqtt.command_on = ""', 'plug.mqtt.command_on = ""', "must not be empty"),
-    ('[plug]\ntopic = "a"\nkind = "openevse"\npower_kw = 1.2', "plug.power_kw = 1.2", "less than the 6 A"),
-    ('[plug]\ntopic = "a"\nkind = "openevse"\nmax_current_a = 5', "plug.power_kw = 2.3", "or plug.max_current_a"),
+    ('[plug]\ntopic = "a"\nkind = "openevse"\npower_kw = 1.2', "plug.power_kw = 1.2", "less than plug.min_current_a"),
+    (
+        '[plug]\ntopic = "a"\nkind = "openevse"\nmax_current_a = 5',
+        "plug.min_current_a = 6",
+        "more than plug.max_current_a",
+    ),
     ("[nights.week]\nsat = {minimum_pct = 81}", "nights.week", "above car.soc_max_pct"),
     ('[nights.week]\nsat = {away = true, ready_by = "10:00"}', "nights.week", "remove one or the other"),
 ]

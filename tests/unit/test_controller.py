@@ -214,6 +214,15 @@ def test_a_charger_is_told_the_power_of_the_slot_under_way(now: datetime, power_
     assert memory.orders.until == until
 
 
+def test_a_slot_planned_at_all_the_car_takes_is_given_all_the_charger_has() -> None:
+    """Else a car once seen to take less would never be given more again."""
+    now = at(2, 10, day=3)
+    memory = tick(replace(knows(0.4), observed_kw=5.0), CHARGER, Observation(forecast=forecast(now)), now)
+    assert memory.plan
+    assert memory.plan.sessions[0].slots[0].power_kw == pytest.approx(5.0)
+    assert memory.orders == Setpoint(7.4, at(2, 30, day=3))
+
+
 def test_a_persons_off_still_plans() -> None:
     off = replace(knows(0.6), overrides=Overrides(mode=Mode.OFF), presence=Presence(True, EVENING))
     decision = Controller(HOME, Exact()).tick(NIGHT, SEEN, off)

@@ -24,7 +24,7 @@ from plugd.domain import (
 from plugd.errors import ForecastMalformed, ForecastUnavailable, PlugFault, PlugRefused, PlugTimeout
 from plugd.perception import fresh
 from plugd.units import next_slot, slot_start
-from tests.unit.deciding import CHARGER, EVENING, NIGHT, READY_BY, Room, at, forecast, knows, minutes
+from tests.unit.deciding import CHARGER, EVENING, EXPECTED, NIGHT, READY_BY, Room, at, forecast, knows, minutes
 
 ON, OFF, HELD = Relay(True), Relay(False), Relay(False, held=True)
 PLENTY, SOME, LITTLE = 0.75, 0.6, 0.3
@@ -317,6 +317,23 @@ def test_a_setpoint_is_renewed_before_it_ends() -> None:
     assert house.disk.saves < 4, "a renewal moves no relay"
 
 
+def test_a_charger_is_told_anew_when_the_slot_of_its_setpoint_ends() -> None:
+    """The session begins inside a half hour, at 20:03, and the night's cleanest hour with it."""
+    house = Room(EVENING, knows(LITTLE), CHARGER)
+    house.plug.power_kw = 7.4
+    house.source.level = lambda start: 50.0 if start.hour == 20 else 200.0
+    house.run(at(20, 40))
+    told = [(when, wanted) for when, wanted in zip(house.plug.tries, house.plug.told, strict=True) if when >= EXPECTED]
+    assert [when for when, _ in told] == [EXPECTED, at(20, 30)]
+    assert [wanted for _, wanted in told] == [Setpoint(7.4, at(20, 30)), Setpoint(7.4, at(21))]
+
+
+def test_a_setpoint_run_out_while_another_holds_is_made_anew_once() -> None:
+    house = Room(at(20), replace(knows(LITTLE), overrides=Overrides(mode=Mode.NOW)), CHARGER)
+    house.run(at(20, 10))
+    assert house.solver.calls == 2
+
+
 # -- relay bookkeeping ----------------------------------------------------------------------------
 
 
@@ -325,6 +342,48 @@ def test_switch_ons_of_the_plan_are_counted_with_their_time() -> None:
     house.run(at(2, 10, day=3))
     memory = house.cycle.memory
     assert (memory.relay_on, memory.relay_since, memory.switch_ons) == (True, at(2, day=3), (at(2, day=3),))
+
+
+def test_a_switch_on_that_was_obeyed_without_an_answer_is_counted_when_it_is_seen() -> None:
+    house = waiting()
+    house.plug.refuses = PlugTimeout("no answer")
+    house.step(at(2, day=3))
+    assert house.cycle.memory.switch_ons == ()
+    house.plug.on = True
+    seen = at(2, day=3, second=3)
+    for second in (3, 5, 20):
+        house.step(at(2, day=3, second=second))
+    memory = house.cycle.memory
+    assert (memory.relay_on, memory.relay_since, memory.switch_ons) == (True, seen, (seen,))
+    saved = house.disk.load()
+    assert saved
+    assert saved.switch_ons == memory.switch_ons
+    assert house.faults() == {}
+
+
+def test_an_off_that_failed_and_is_no_longer_wanted_is_no_switch_on() -> None:
+    house = room(SOME, at(2, day=3))
+    house.step()
+    house.plug.refuses = PlugTimeout("no answer")
+    house.hub.said.append(SetMode(Mode.OFF))
+    house.step(at(2, 1, day=3))
+    house.hub.said.append(SetMode(Mode.SMART))
+    house.step(at(2, 2, day=3))
+    assert house.plug.on
+    assert house.cycle.memory.switch_ons == (at(2, day=3),)
+
+
+def test_a_relay_that_was_on_all_along_is_not_counted_again() -> None:
+    house = room(SOME, at(2, day=3))
+    house.step()
+    house.plug.silent = house.plug.refuses = PlugTimeout("no answer")
+    house.plug.came_back = True
+    house.cycle.told = None
+    house.step(at(2, 1, day=3))
+    house.plug.silent = None
+    house.step(at(2, 1, day=3, second=3))
+    assert house.faults() == {}
+    assert house.cycle.memory.switch_ons == (at(2, day=3),)
 
 
 @pytest.mark.parametrize("by", ["person", "button", "guard"])

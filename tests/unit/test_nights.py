@@ -1,5 +1,6 @@
 """From sessions to the solver's problem and back: the deadline before the guard's, and one plan with times."""
 
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from itertools import pairwise
 
@@ -7,7 +8,7 @@ import pytest
 
 from plugd import outlook, sessions
 from plugd.domain import Household, Overrides, Plan, Presence
-from plugd.planner import exact, nights
+from plugd.planner import exact, nights, taper
 from plugd.units import hours
 
 NOON = datetime(2023, 1, 2, 12, tzinfo=UTC)
@@ -47,6 +48,19 @@ def test_the_minimum_is_reached_an_hour_before_the_session_end_at_nine_tenths_of
     for slot in before:
         in_stretch = slot.end > deadline - timedelta(hours=need_h)
         assert slot.limit_kw == pytest.approx(POWER_KW * (0.9 if in_stretch else 1.0))
+
+
+def test_the_stretch_that_the_guard_could_claim_is_longer_where_the_car_takes_less_as_it_fills() -> None:
+    house = replace(HOUSE, car=replace(HOUSE.car, taper_from=0.4, taper_share=0.2))
+    plan, _ = planned(soc=0.3, house=house)
+    tonight = plan.sessions[0]
+    deadline = tonight.session.end - timedelta(seconds=house.guard_margin_s + house.planner_slack_s)
+    need_h = taper.flat_kwh(house.car, 15.0, 25.0) / (0.9 * POWER_KW * house.car.efficiency)
+    assert need_h > 1.03 * 10.0 / (0.9 * POWER_KW * house.car.efficiency)
+    for slot in tonight.slots:
+        if slot.end <= deadline:
+            in_stretch = slot.end > deadline - timedelta(hours=need_h)
+            assert slot.limit_kw == pytest.approx(POWER_KW * (0.9 if in_stretch else 1.0))
 
 
 def test_nothing_needed_is_nothing_derated() -> None:

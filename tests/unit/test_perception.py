@@ -5,9 +5,9 @@ from datetime import datetime, timedelta
 
 import pytest
 
-from plugd.domain import Memory, Mode, Overrides, Presence, Press, Reading
+from plugd.domain import Memory, Mode, Overrides, Presence, Press, Reading, Setpoint
 from plugd.perception import fresh, perceive
-from tests.unit.deciding import EVENING, HOME, NIGHT, NOON, at, knows, minutes
+from tests.unit.deciding import CHARGER, EVENING, HOME, NIGHT, NOON, at, knows, minutes
 
 
 def reading(
@@ -61,6 +61,37 @@ def test_the_power_the_car_takes_is_smoothed_once_a_reading() -> None:
 def test_a_power_that_says_nothing_of_the_car_is_left_out(says: Reading, soc: float) -> None:
     memory = replace(knows(soc), observed_kw=2.1)
     assert seen(memory, says).observed_kw == 2.1
+
+
+def given(setpoint_kw: float, power_kw: float, known_kw: float | None) -> float | None:
+    """What is believed of a car that takes `power_kw` where the charger was told `setpoint_kw`."""
+    memory = replace(knows(0.5), observed_kw=known_kw, orders=Setpoint(setpoint_kw, NIGHT + minutes(30)))
+    return perceive(NIGHT, reading(power_kw=power_kw), memory, CHARGER).observed_kw
+
+
+def test_a_car_that_takes_what_the_charger_gives_says_nothing_of_its_limit() -> None:
+    assert given(3.0, 3.0, None) is None
+    assert given(3.0, 2.95, 7.0) == 7.0
+    assert given(7.4, 7.4, None) == 7.4
+    # Less than it was given is its limit; more than was believed raises it.
+    assert given(7.4, 5.0, None) == 5.0
+    assert given(7.4, 5.0, 7.0) == pytest.approx(6.6)
+    assert given(3.0, 7.4, 5.0) == pytest.approx(5.48)
+
+
+def test_a_configured_taper_is_no_limit_of_the_car() -> None:
+    tapers = replace(HOME, car=replace(HOME.car, taper_from=0.7))
+    memory = replace(knows(0.75), observed_kw=2.3)
+    assert perceive(NIGHT, reading(power_kw=1.5), memory, tapers).observed_kw == 2.3
+
+
+def test_a_car_is_not_full_because_its_charger_gives_less_and_less() -> None:
+    memory = replace(knows(0.5), observed_kw=2.1, orders=Setpoint(2.0, NIGHT + minutes(120)))
+    memory = seen(memory, reading(power_kw=2.0))
+    for after, power_kw in ((30, 1.0), (60, 0.1), (90, 0.0)):
+        memory = replace(memory, orders=Setpoint(power_kw, NIGHT + minutes(120)))
+        memory = seen(memory, reading(power_kw=power_kw, now=NIGHT + minutes(after)))
+        assert memory.soc.source == "hub"
 
 
 def test_metered_energy_is_in_the_soc() -> None:

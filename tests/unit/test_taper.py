@@ -46,6 +46,23 @@ def test_an_estimate_above_full_still_has_the_last_share_and_never_a_power_below
     assert gained_kwh == pytest.approx(0.2 * 9.0 * 0.01, rel=0.05)
 
 
+@pytest.mark.parametrize(("energy_kwh", "target_kwh"), [(20.0, 34.0), (20.0, 45.0), (36.0, 50.0), (34.9, 35.1)])
+@pytest.mark.parametrize("power_kw", [2.3, 10.0])
+def test_the_time_to_a_target_is_that_of_its_energy_at_full_power(
+    energy_kwh: float, target_kwh: float, power_kw: float
+) -> None:
+    for_h = taper.flat_kwh(CAR, energy_kwh, target_kwh) / (CAR.efficiency * power_kw)
+    assert taper.reached_kwh(CAR, energy_kwh, power_kw, for_h) == pytest.approx(target_kwh, abs=1e-6)
+
+
+def test_without_a_taper_and_with_nothing_missing_energy_is_what_it_is() -> None:
+    for car in (replace(CAR, taper_from=1.0), replace(CAR, taper_share=1.0)):
+        assert taper.flat_kwh(car, 20.0, 45.0) == 25.0
+    assert taper.flat_kwh(CAR, 20.0, 35.0) == 15.0
+    assert taper.flat_kwh(CAR, 45.0, 45.0) == 0.0
+    assert taper.flat_kwh(CAR, 45.0, 40.0) < 0.0
+
+
 def taken(car: Car, asked: Problem, solution: Solution) -> list[float]:
     """How much less the car takes than each session's powers ask, battery kWh."""
     energy_kwh, less = asked.energy_kwh, []

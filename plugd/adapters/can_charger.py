@@ -1,0 +1,24 @@
+"""The charger on CAN as the configuration has it. Imported only where one is configured: its libraries are an extra."""
+
+from plugd.adapters.can_elcon import CanElcon, identifiers
+from plugd.adapters.can_link import CanLink, Place
+from plugd.adapters.can_soc import soc_signal
+from plugd.adapters.elcon_words import Limits
+from plugd.config import Config
+from plugd.domain import Capability
+from plugd.ports import Clock
+
+
+def charger(config: Config, capability: Capability, clock: Clock) -> CanElcon:
+    """The charger of `[can]`. Raises ConfigError for a DBC that cannot be used."""
+    can = config.can
+    soc = soc_signal(can.soc, can.soc_dbc, can.soc_signal)
+    return CanElcon(
+        CanLink(Place(can.interface, can.channel, can.bitrate), clock, identifiers(soc)),
+        clock,
+        capability,
+        Limits(can.max_voltage_v or 0.0, can.max_current_a or 0.0),  # a configuration without both was refused
+        config.car.efficiency,
+        soc,
+        60.0 * config.car.soc_max_age_min,
+    )

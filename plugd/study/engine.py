@@ -1,0 +1,182 @@
+"""The closed loop: a driver, a battery, a strategy, and what flowed.
+
+It goes from event to event: plug-in, whenever the strategy's word runs out, session end, departure. While no car is
+connected nothing is planned. What a strategy plans with is the daemon's own; what the daemon's cycle does around it
+(ports, memory, guard, faults) is `plugd.study.house`.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from datetime import datetime
+from itertools import pairwise, takewhile
+
+from plugd import sessions, soc
+from plugd.domain import Household, Orders, Overrides, Presence, Session, Setpoint, SocEstimate, Switch
+from plugd.study.measured import Measured
+from plugd.study.strategies import Strategy
+from plugd.study.world import Battery, Driver, Morning, Stay
+from plugd.units import hours, pieces
+
+
+@dataclass(frozen=True, slots=True)
+class World:
+    """Who drives what, behind which plug, when. Stays count that lie wholly between `start` and `end`."""
+
+    household: Household
+    driver: Driver
+    start: datetime
+    end: datetime
+    start_soc: float = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Flow:
+    """Energy at the plug in a half hour or a part of one, and the SOC after it."""
+
+    start: datetime
+    end: datetime
+    kwh: float
+    soc: float
+
+
+@dataclass(frozen=True, slots=True)
+class Night:
+    """One stay as it was."""
+
+    arrival: datetime
+    departure: datetime
+    arrival_soc: float
+    departure_soc: float
+    morning: Morning
+    charged_kwh: float
+    """At the plug."""
+    carbon_g: float
+    switch_ons: int
+    driven_kwh: float
+    """From the battery, after it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Account:
+    """What a strategy came to."""
+
+    nights: tuple[Night, ...]
+    flows: tuple[Flow, ...]
+    end_kwh: float
+    """In the battery when all is over."""
+
+    @property
+    def energy_kwh(self) -> float:
+        """Charged, at the plug."""
+        return sum(night.charged_kwh for night in self.nights)
+
+    @property
+    def carbon_g(self) -> float:
+        """Emitted for it (paper eq. 2, on what was measured)."""
+        return sum(night.carbon_g for night in self.nights)
+
+    @property
+    def carbon_g_per_kwh(self) -> float | None:
+        """The paper's C_EV; None where nothing was charged."""
+        energy_kwh = self.energy_kwh
+        return self.carbon_g / energy_kwh if energy_kwh > 0.0 else None
+
+    @property
+    def missed(self) -> int:
+        """Mornings under a minimum that was reachable."""
+        return sum(night.morning.missed for night in self.nights)
+
+    @property
+    def switch_ons(self) -> int:
+        """From no power to some."""
+        return sum(night.switch_ons for night in self.nights)
+
+
+def stays(world: World, known_until: datetime) -> Iterator[tuple[Stay, tuple[Session, ...]]]:
+    """The driver's stays, each with the sessions expected at its plug-in, as far as the intensity is known."""
+    household = world.household
+    for stay in takewhile(lambda s: s.arrival < world.end, world.driver.stays(world.start)):
+        coming = sessions.expected(stay.arrival, household, Overrides(), Presence(), household.nights.horizon)
+        known = tuple(session for session in coming if session.end <= known_until)
+        if stay.arrival >= world.start and max(stay.departure, coming[0].end) <= min(world.end, known_until):
+            yield stay, known
+
+
+@dataclass(slots=True)
+class Loop:
+    """A battery at a plug under a strategy's orders."""
+
+    household: Household
+    strategy: Strategy
+    found: Measured
+    battery: Battery
+    flows: list[Flow] = field(default_factory=list)
+
+    def night(self, stay: Stay, coming: tuple[Session, ...]) -> Night:
+        """One stay, and the driving after it."""
+        battery, session, first = self.battery, coming[0], len(self.flows)
+        arrival_soc = at_session_end = battery.soc
+        estimate = soc.told(soc.unknown(stay.arrival), arrival_soc, stay.arrival, "car")
+        self.strategy.plugged_in(stay.arrival, coming)
+        now, power_kw, switch_ons = stay.arrival, 0.0, 0
+        while now < stay.departure:
+            orders = self.strategy.orders(now, estimate)
+            until = min(orders.until, stay.departure, session.end if now < session.end else stay.departure)
+            for start, end, offered_kw in spells(orders, now, until, self.household.capability.power_max_kw):
+                switch_ons += int(offered_kw > 0.0 and power_kw == 0.0)
+                power_kw = offered_kw
+                if offered_kw > 0.0:
+                    estimate = self._flow(start, end, offered_kw, estimate)
+            now = until
+            if now <= session.end:
+                at_session_end = battery.soc
+        flows = self.flows[first:]
+        return Night(
+            arrival=stay.arrival,
+            departure=stay.departure,
+            arrival_soc=arrival_soc,
+            departure_soc=battery.soc,
+            morning=self._morning(stay, session, arrival_soc, at_session_end),
+            charged_kwh=sum(flow.kwh for flow in flows),
+            carbon_g=sum(flow.kwh * self.found.actual[self.found.index(flow.start)] for flow in flows),
+            switch_ons=switch_ons,
+            driven_kwh=battery.drive(stay.use_kwh),
+        )
+
+    def _flow(self, start: datetime, end: datetime, offered_kw: float, estimate: SocEstimate) -> SocEstimate:
+        """Let power flow; returns the estimate after it."""
+        for first, last in pieces(start, end):
+            taken_kwh = self.battery.charge(offered_kw, hours(last - first))
+            if taken_kwh > 0.0:
+                self.flows.append(Flow(first, last, taken_kwh, self.battery.soc))
+                estimate = soc.charged(estimate, taken_kwh, self.household.car)
+        return estimate
+
+    def _morning(self, stay: Stay, session: Session, arrival_soc: float, end_soc: float) -> Morning:
+        """The session's end beside what charging without a pause since plug-in would have reached."""
+        here_h = max(0.0, hours(session.end - stay.arrival))
+        best_kwh = self.household.capability.power_max_kw * self.household.car.efficiency * here_h
+        best_soc = max(arrival_soc, min(arrival_soc + best_kwh / self.battery.capacity_kwh, session.ceiling))
+        return Morning(session.end, session.minimum, end_soc, best_soc, stay.arrival < session.end <= stay.departure)
+
+
+def spells(
+    orders: Orders, now: datetime, until: datetime, relay_kw: float
+) -> Iterator[tuple[datetime, datetime, float]]:
+    """What is offered from `now` to `until`: (start, end, kW). A relay gives `relay_kw` or nothing."""
+    if isinstance(orders, Setpoint):
+        yield now, until, orders.power_kw
+        return
+    moves = (switch for switch in orders.switches if now < switch.at < until)
+    edges = (Switch(now, orders.state(now)), *moves, Switch(until, on=False))
+    for a, b in pairwise(edges):
+        yield a.at, b.at, relay_kw if a.on else 0.0
+
+
+def simulate(world: World, strategy: Strategy, found: Measured) -> Account:
+    """All stays of a world under a strategy."""
+    car = world.household.car
+    battery = Battery(car.capacity_kwh, world.start_soc * car.capacity_kwh, car.efficiency)
+    loop = Loop(world.household, strategy, found, battery)
+    nights = tuple(loop.night(stay, coming) for stay, coming in stays(world, found.end))
+    return Account(nights, tuple(loop.flows), battery.energy_kwh)
