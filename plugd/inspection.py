@@ -14,18 +14,22 @@ from plugd.adapters.store import SqliteStore
 from plugd.config import Config, household
 from plugd.controller import Controller
 from plugd.cycle import HISTORY
-from plugd.domain import Decision, Fault, Forecast, Intensity, Observation, Reading, Relay
-from plugd.errors import ForecastError, PlugdError, PlugRefused, PlugTimeout, StoreError
+from plugd.domain import Decision, Fault, Forecast, Intensity, Observation, Reading, Relay, Setpoint
+from plugd.errors import ForecastError, PlugdError, PlugRefused, PlugTimeout, StoreError, UsageError
 from plugd.explanation import Names, dated
 from plugd.planner.marginal import Explanation, explain
 from plugd.planner.nights import layout
 from plugd.planner.problem import Problem, Solution, Solver
 from plugd.planner.qp import Qp
 from plugd.ports import Clock, Plug, Tended
-from plugd.units import slot_start, to_w
+from plugd.units import kw_of, slot_start, to_w
 
 SETTLE = timedelta(seconds=6)
 """A plug tells its power 2 to 5 s after it was switched on."""
+NO_COVER = (
+    "no timer of its own: switched off, it stays off if plugd or the broker dies, and the car is not charged; "
+    "docs/hardware.md names plugs that switch on by themselves"
+)
 OLDEST = datetime(2026, 1, 1, tzinfo=UTC)
 """A clock before it was never set."""
 
@@ -74,21 +78,32 @@ def _told(reading: Reading) -> str:
     return f"{'on' if reading.on else 'off'}, {power}{total}"
 
 
-def switch(config: Config, do: str) -> str:
-    """Show or switch the plug by hand, and say how it is then. Raises PlugError."""
+def switch(config: Config, do: str, amps: float | None = None) -> str:
+    """Show, switch or set (`amps`) the plug by hand, and say how it is then. Raises PlugError, UsageError."""
     with _connected(config) as (connection, plug, clock, others):
         if do == "show":
             return _told(plug.read())
         running = _daemon_runs(others)
         if isinstance(plug, Tended) and running:
             raise PlugRefused("the running plugd tells the charger what to do every second; stop it first")
-        plug.set(Relay(do == "on", held=do == "off"))
+        plug.set(
+            Relay(do == "on", held=do == "off")
+            if amps is None
+            else _current(plug, clock, amps, config.plug.mains_voltage_v)
+        )
         told = _told(_settled(plug, clock, connection))
         if isinstance(plug, Tended):
             return f"{told}; it is stopped again now: without a word every second it gives nothing"
         if running:
             return f"{told}; the running plugd takes this as a press of the plug's button"
         return f"{told}; it stays so until somebody switches it, or plugd starts"
+
+
+def _current(plug: Plug, clock: Clock, amps: float, voltage_v: float) -> Setpoint:
+    """A charger's setpoint for a day. Raises UsageError for a plain plug."""
+    if not plug.capability.modulating:
+        raise UsageError("this plug knows on and off only: plugd plug on, or off")
+    return Setpoint(kw_of(max(amps, 0.0), voltage_v), clock.now() + timedelta(days=1))
 
 
 def _settled(plug: Plug, clock: Clock, connection: MqttConnection) -> Reading:
@@ -184,7 +199,7 @@ def _plug(config: Config, click: bool) -> str:
         told = _told(plug.read())
         if click:
             told = _clicked(plug, clock, connection, _daemon_runs(others))
-        cover = "" if plug.capability.dead_man else "; no timer of its own: it stays off if plugd dies"
+        cover = "" if plug.capability.dead_man else f"; {NO_COVER}"
         if isinstance(plug, Tended):
             cover = "; it stops by itself 5 s after plugd's last word, so a dead plugd leaves it OFF"
         return told + cover + "".join(f"; {w.text}" for w in plug.warnings)

@@ -35,12 +35,16 @@ from plugd_hil.account import Night, foresight, nights, per_kwh, read_ledger, un
 from plugd_hil.broker import HOST, BrokerProcess, any_broker
 from plugd_hil.children import Children
 from plugd_hil.conductor import Conductor
+from plugd_hil.plug import DIALECTS
 from plugd_hil.synthetic import synthetic_year
 
 POWER_KW = 2.3
 SOC_START = 0.5
 SYNTHETIC = "synthetic"
 MOST_DAYS = 366
+
+TELLING = dict.fromkeys(("openevse", "mqtt", "shelly1", "esphome"), ("--tele-period", "60"))
+"""Half as often as they are shipped: the week is sooner over, and a reading may be a minute old."""
 
 CONFIG = """
 name = "ev"
@@ -234,7 +238,7 @@ def _simulate(
         )  # fmt: skip
         stub = ("plugd_hil.can_elcon", "--period", str(CAN_PERIOD_S)) if options.plug == CAN else (
             "plugd_hil.plug", "--dialect", options.plug, "--broker", f"{HOST}:{broker.port}", "--topic", "ev-plug",
-            "--soc-topic", "car/soc",
+            "--soc-topic", "car/soc", *TELLING.get(options.plug, ()),
         )  # fmt: skip
         plug = children.start(
             "plug", *stub, "--power", str(POWER_KW), "--soc", str(100 * SOC_START), "--car", "driver",
@@ -354,7 +358,7 @@ def _parsed(arguments: Sequence[str] | None) -> Options:
     parser.add_argument("--from", dest="start", metavar="DATE", help="first day; it starts at local noon")
     parser.add_argument("--seed", type=int, default=0, help="another driver, other forecast errors")
     parser.add_argument("--source", default=SYNTHETIC, metavar="synthetic|FILE", help="whose intensity")
-    parser.add_argument("--plug", default="tasmota", choices=("tasmota", CAN), help="which dialect the plug speaks")
+    parser.add_argument("--plug", default="tasmota", choices=(*DIALECTS, CAN), help="which dialect the plug speaks")
     parser.add_argument("--soc", default="arrival", choices=("arrival", "never"), help="when the car tells its SOC")
     parser.add_argument("--json", action="store_true", help="one JSON document, and nothing else")
     asked = parser.parse_args(arguments)

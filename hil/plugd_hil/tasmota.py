@@ -13,13 +13,10 @@ from typing import Any
 from zoneinfo import ZoneInfo
 
 from plugd_hil.outlet import Load, Meter, Said
+from plugd_hil.socket import BOOT, WILL_AFTER, Board
 from plugd_hil.tasmota_documents import pulse_span, sensor_document, state_document
 
-BOOT = timedelta(seconds=3)
-"""From power to the broker."""
 FIRST_TELEMETRY = timedelta(seconds=5)
-WILL_AFTER = timedelta(seconds=45)
-"""A broker notices a silent client after one and a half keep-alives of 30 s."""
 BACKLOG_STEP = timedelta(milliseconds=200)
 STATES = {"0": 0, "OFF": 0, "FALSE": 0, "1": 1, "ON": 1, "TRUE": 1, "2": 2, "TOGGLE": 2}
 ALWAYS_ON, INVERTED_PULSE = 4, 5
@@ -61,6 +58,30 @@ class TasmotaPlug:
         self._told_boot = False
         self._queue: deque[tuple[datetime, str]] = deque()
         self._timers: dict[Callable[[], list[Said]], datetime] = {}
+
+    @property
+    def board(self) -> Board:
+        """It is its own."""
+        return self
+
+    @property
+    def jammed(self) -> bool:
+        """Whether the relay does not move: PowerLock has the same effect."""
+        return self._locked
+
+    @jammed.setter
+    def jammed(self, jammed: bool) -> None:
+        self._locked = jammed
+
+    @property
+    def listens(self) -> tuple[str, ...]:
+        """Its commands."""
+        return (f"cmnd/{self.topic}/+",)
+
+    @property
+    def will(self) -> Said:
+        """Its last will."""
+        return Said(f"tele/{self.topic}/LWT", "Offline", retain=True)
 
     @property
     def now(self) -> datetime:
@@ -132,7 +153,7 @@ class TasmotaPlug:
         return []
 
     def _will(self) -> list[Said]:
-        return [Said(f"tele/{self.topic}/LWT", "Offline", retain=True)]
+        return [self.will]
 
     def _powered(self) -> list[Said]:
         self._booted, self._told_boot = self.now, False
@@ -160,11 +181,11 @@ class TasmotaPlug:
     def _pulse_over(self) -> list[Said]:
         return self._switch(self._power_on_state == INVERTED_PULSE)
 
-    def load_changed(self) -> None:
+    def load_changed(self) -> list[Said]:
         """Power that differs from the last report by PowerDelta is told in 2 to 5 s; off is not told."""
         meter, draws_kw = self._meter, self._draws_kw()
         until = meter.load.steady_until(self.now, meter.power_kw) if self.on else None
-        self._after(until - self.now if until else None, self._look_again)
+        self._after(until - self.now if until else None, self.load_changed)
         if not self.on:
             self._reported_kw = 0.0
         least_kw = max(min(draws_kw, self._reported_kw), 0.001)
@@ -173,9 +194,6 @@ class TasmotaPlug:
             self._after(None, self._report)
         elif self._report not in self._timers:
             self._after(timedelta(seconds=self._dice.uniform(2.0, 5.0)), self._report)
-
-    def _look_again(self) -> list[Said]:
-        self.load_changed()
         return []
 
     def _report(self) -> list[Said]:

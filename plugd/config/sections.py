@@ -10,7 +10,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validat
 from pydantic_core import PydanticCustomError
 
 from plugd.config import values
-from plugd.config.values import Clock, File, Percent, PlugKind, Text, Topic, Weekday, Window
+from plugd.config.values import Clock, File, Percent, PlugKind, PlugTopic, Text, Topic, Weekday, Window, Word
 from plugd.units import kw_of
 
 
@@ -41,6 +41,30 @@ class BrokerSection(Section):
     discovery_prefix: Topic = "homeassistant"
 
 
+class MqttPlugSection(Section):
+    """The words of a plug over MQTT, where they differ from its preset's. `{topic}` is the plug's own topic."""
+
+    command_topic: PlugTopic | None = None
+    command_on: Word | None = None
+    command_off: Word | None = None
+    state_topic: PlugTopic | None = None
+    state_key: Word | None = None
+    state_on: Word | None = None
+    state_off: Word | None = None
+    power_topic: PlugTopic | None = None
+    power_key: Word | None = None
+    power_unit: Literal["W", "kW"] | None = None
+    energy_topic: PlugTopic | None = None
+    energy_key: Word | None = None
+    energy_unit: Literal["kWh", "Wh", "Wmin"] | None = None
+    availability_topic: PlugTopic | None = None
+    online: Word | None = None
+    offline: Word | None = None
+    ask_topic: PlugTopic | None = None
+    ask_payload: Word | None = None
+    on_change: bool | None = None
+
+
 class PlugSection(Section):
     """What feeds the car."""
 
@@ -53,6 +77,7 @@ class PlugSection(Section):
     mains_voltage_v: Annotated[float, Field(ge=100, le=260)] = 230.0
     dead_man_s: Annotated[int, Field(ge=10, le=64800)] = 3600
     """After how long without word from plugd the plug comes on by itself. Under 60 s only on a test bench."""
+    mqtt: MqttPlugSection = MqttPlugSection()
 
 
 class CanSection(Section):
@@ -174,7 +199,10 @@ def at(config: Config, key: str) -> Any:
     return reduce(getattr, key.split("."), config)
 
 
-MODULATING = ("can_elcon",)
+WORDED = ("mqtt", "shelly1", "zigbee2mqtt", "esphome")
+"""Kinds whose words [plug.mqtt] may change."""
+NEEDED = ("command_topic", "command_on", "command_off", "state_topic", "state_on", "state_off")
+MODULATING = ("can_elcon", "openevse")
 """Kinds that take a power, and not only on and off."""
 
 
@@ -203,6 +231,19 @@ IMPOSSIBLE: tuple[tuple[str, Callable[[Config], bool], str], ...] = (
         "can.soc_signal",
         lambda c: (c.can.soc_signal is None) is not (c.can.soc_dbc is None),
         "can.soc_dbc and can.soc_signal belong together; write both or none",
+    ),
+    (
+        "plug.mqtt",
+        lambda c: c.plug.kind not in WORDED and bool(c.plug.mqtt.model_fields_set),
+        f"counts only for plug.kind {', '.join(WORDED)}; remove the table, or change the kind",
+    ),
+    *(
+        (
+            f"plug.mqtt.{key}",
+            lambda c, key=key: getattr(c.plug.mqtt, key) == "",
+            "must not be empty: without it the plug can be neither told nor heard",
+        )
+        for key in NEEDED
     ),
     (
         "home.postcode",

@@ -39,6 +39,7 @@ def test_the_example_with_every_comment_opened_is_a_configuration_too() -> None:
     text = re.sub(r"(?m)^# (\w+ = )", r"\1", EXAMPLE.read_text())
     text = text.replace('postcode = "SW1"\n', "").replace('soc = "pylontech"\n', "")
     text = text.replace("tls = false", "tls = true")
+    text = text.replace('kind = "tasmota"', 'kind = "mqtt"')
     config = parse(text)
     assert config.home.region_id == 13
     assert config.nights.ready_by == time(7, 0)
@@ -193,6 +194,9 @@ REFUSED = [
     ('broker.topic = "/a"', 'broker.topic = "/a"', "plain MQTT topic"),
     ('plug.kind = "tasmotta"', 'plug.kind = "tasmotta"', "did you mean 'tasmota'?"),
     ('plug.kind = "xyzzy"', 'plug.kind = "xyzzy"', "must be one of 'tasmota', 'shelly2'"),
+    ('plug.mqtt.power_unit = "MW"', 'plug.mqtt.power_unit = "MW"', "must be one of 'W' or 'kW'"),
+    ('plug.mqtt.state_topic = "a/#"', 'plug.mqtt.state_topic = "a/#"', "plain MQTT topic"),
+    ('plug.mqtt.state_topik = "a"', 'plug.mqtt.state_topik = "a"', "did you mean plug.mqtt.state_topic?"),
     ('home.timezone = "Europe/Londn"', 'home.timezone = "Europe/Londn"', "write Europe/London"),
     ('home.timezone = "Europe"', 'home.timezone = "Europe"', "is no time zone"),
     ('home.timezone = "../../etc/passwd"', 'home.timezone = "../../etc/passwd"', "is no time zone"),
@@ -226,6 +230,14 @@ REFUSED = [
     ('car.soc_json_key = "soc"', 'car.soc_json_key = "soc"', "write car.soc_topic"),
     ('broker.password_file = "/x"', 'broker.password_file = "/x"', "write broker.username"),
     ('broker.ca_file = "/x"', 'broker.ca_file = "/x"', "write broker.tls = true"),
+    ('[plug]\ntopic = "a"\nmqtt.state_on = "1"', "plug.mqtt", "counts only for plug.kind mqtt, shelly1"),
+    ('[plug]\ntopic = "a"\nkind = "mqtt"\nmqtt.command_on = ""', 'plug.mqtt.command_on = ""', "must not be empty"),
+    ('[plug]\ntopic = "a"\nkind = "openevse"\npower_kw = 1.2', "plug.power_kw = 1.2", "less than plug.min_current_a"),
+    (
+        '[plug]\ntopic = "a"\nkind = "openevse"\nmax_current_a = 5',
+        "plug.min_current_a = 6",
+        "more than plug.max_current_a",
+    ),
     ("[nights.week]\nsat = {minimum_pct = 81}", "nights.week", "above car.soc_max_pct"),
     ('[nights.week]\nsat = {away = true, ready_by = "10:00"}', "nights.week", "remove one or the other"),
 ]
