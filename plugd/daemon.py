@@ -76,7 +76,7 @@ def capability_of(config: Config) -> Capability:
 
 
 def plug_for(config: Config, connection: MqttConnection, clock: Clock) -> Plug:
-    """The plug of the configured kind. Raises ConfigError for one that is not built yet."""
+    """The plug of the configured kind. Raises ConfigError for one whose libraries are not installed."""
     plug = config.plug
     topic = plug.topic or ""
     match plug.kind:
@@ -87,13 +87,11 @@ def plug_for(config: Config, connection: MqttConnection, clock: Clock) -> Plug:
             return SwitchedPlug(connection, clock, topic, dialect, plug.power_kw, plug.dead_man_s)
         case "openevse":
             return OpenEvse(connection, clock, topic, capability_of(config), plug.mains_voltage_v)
-        case kind if kind in PRESETS:
-            words = replace(PRESETS[kind], **plug.mqtt.model_dump(exclude_none=True))
-            return SwitchedPlug(connection, clock, topic, Plain(topic, words), plug.power_kw)
         case "can_elcon":
             return _can_charger(config, clock=clock)
         case kind:
-            raise ConfigError(f'plug.kind = "{kind}": not supported yet; use "tasmota"')
+            words = replace(PRESETS[kind], **plug.mqtt.model_dump(exclude_none=True))
+            return SwitchedPlug(connection, clock, topic, Plain(topic, words), plug.power_kw)
 
 
 def _can_charger(config: Config, clock: Clock) -> Plug:

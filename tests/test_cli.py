@@ -282,14 +282,6 @@ def test_an_unknown_key_is_named_with_its_file(plugd: Shell, tmp_path: Path) -> 
         assert "car.capacity_kwh" in answer.line
 
 
-def test_a_kind_of_plug_that_is_not_built_yet_is_a_configuration_error(plugd: Shell, tmp_path: Path) -> None:
-    path = tmp_path / "plugd.toml"
-    path.write_text(f'[plug]\nkind = "can_elcon"\n[state]\ndir = "{tmp_path}/state"\n')
-    answer = plugd("-c", str(path), "run")
-    assert answer.status == 78
-    assert "can_elcon" in answer.err
-
-
 # -- beside a plug, a broker, a server ------------------------------------------------------------
 
 

@@ -14,10 +14,11 @@ from zoneinfo import ZoneInfo
 
 from plugd_hil.outlet import Load, Meter, Said
 from plugd_hil.socket import BOOT, WILL_AFTER, Board
-from plugd_hil.tasmota_documents import pulse_span, sensor_document, state_document
+from plugd_hil.tasmota_documents import pulse_left, pulse_span, sensor_document, state_document
 
 FIRST_TELEMETRY = timedelta(seconds=5)
 BACKLOG_STEP = timedelta(milliseconds=200)
+NO_OTHERS, WORDS = [0] * 7, ("OFF", "ON")
 STATES = {"0": 0, "OFF": 0, "FALSE": 0, "1": 1, "ON": 1, "TRUE": 1, "2": 2, "TOGGLE": 2}
 ALWAYS_ON, INVERTED_PULSE = 4, 5
 
@@ -50,7 +51,7 @@ class TasmotaPlug:
         self._saved_on = on
         self._power_on_state = 3
         self._pulse = 0
-        self._locked = False
+        self.jammed = False
         self._tele_period_s = tele_period_s
         self._power_delta = power_delta
         self._up = True
@@ -63,15 +64,6 @@ class TasmotaPlug:
     def board(self) -> Board:
         """It is its own."""
         return self
-
-    @property
-    def jammed(self) -> bool:
-        """Whether the relay does not move: PowerLock has the same effect."""
-        return self._locked
-
-    @jammed.setter
-    def jammed(self, jammed: bool) -> None:
-        self._locked = jammed
 
     @property
     def listens(self) -> tuple[str, ...]:
@@ -149,11 +141,8 @@ class TasmotaPlug:
         self._queue.clear()
         self._timers.clear()
         self._after(length, self._powered)
-        self._after(min(WILL_AFTER, length + BOOT), self._will)
+        self._after(min(WILL_AFTER, length + BOOT), lambda: [self.will])
         return []
-
-    def _will(self) -> list[Said]:
-        return [self.will]
 
     def _powered(self) -> list[Said]:
         self._booted, self._told_boot = self.now, False
@@ -171,7 +160,7 @@ class TasmotaPlug:
     # -- the relay --------------------------------------------------------------------------------
 
     def _switch(self, on: bool) -> list[Said]:
-        if not self._locked:
+        if not self.jammed:
             self.on = on or self._power_on_state == ALWAYS_ON
         counting = not self.on if self._power_on_state == INVERTED_PULSE else self.on
         self._after(pulse_span(self._pulse) if counting and self._pulse else None, self._pulse_over)
@@ -197,10 +186,9 @@ class TasmotaPlug:
         return []
 
     def _report(self) -> list[Said]:
-        delta_w = round(1000.0 * (self._draws_kw() - self._reported_kw))
-        self._reported_kw = self._draws_kw()
-        said = self._say("tele", "MARGINS", {"MARGINS": {"PowerDelta": delta_w}})
-        return said + self._say("tele", "SENSOR", self._sensors())
+        before_kw, self._reported_kw = self._reported_kw, self._draws_kw()
+        margins = {"MARGINS": {"PowerDelta": round(1000.0 * (self._reported_kw - before_kw))}}
+        return self._say("tele", "MARGINS", margins) + self._say("tele", "SENSOR", self._sensors())
 
     def _draws_kw(self) -> float:
         return self._meter.load.draws_kw(self._meter.power_kw) if self.on else 0.0
@@ -217,8 +205,7 @@ class TasmotaPlug:
         return self._say("stat", "RESULT", said)
 
     def _show(self) -> list[Said]:
-        word = "ON" if self.on else "OFF"
-        return self._result(POWER=word) + self._say("stat", "POWER", word)
+        return self._result(POWER=WORDS[self.on]) + self._say("stat", "POWER", WORDS[self.on])
 
     def _telemetry(self) -> list[Said]:
         self._after(timedelta(seconds=self._tele_period_s), self._telemetry)
@@ -283,13 +270,10 @@ class TasmotaPlug:
         if payload.isdigit() and int(payload) < 65536:
             self._pulse = int(payload)
             self._after(pulse_span(self._pulse) if self._pulse else None, self._pulse_over)
-        at = self._timers.get(self._pulse_over)
-        left_s = (at - self.now).total_seconds() if at else 0.0
-        left = int(left_s) + 100 if left_s > 11.1 else int(10.0 * left_s)
+        left = pulse_left(self._timers.get(self._pulse_over, self.now) - self.now)
         if index or payload:
             return self._result(PulseTime1={"Set": self._pulse, "Remaining": left})
-        none = [0] * 7
-        return self._result(PulseTime={"Set": [self._pulse, *none], "Remaining": [left, *none]})
+        return self._result(PulseTime={"Set": [self._pulse, *NO_OTHERS], "Remaining": [left, *NO_OTHERS]})
 
     def _cmnd_power_on_state(self, _index: str, payload: str) -> list[Said]:
         said: list[Said] = []
@@ -312,5 +296,5 @@ class TasmotaPlug:
 
     def _cmnd_power_lock(self, _index: str, payload: str) -> list[Said]:
         if payload in ("0", "1"):
-            self._locked = payload == "1"
-        return self._result(PowerLock1=str(int(self._locked)))
+            self.jammed = payload == "1"
+        return self._result(PowerLock1=str(int(self.jammed)))
