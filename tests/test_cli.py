@@ -282,6 +282,14 @@ def test_an_unknown_key_is_named_with_its_file(plugd: Shell, tmp_path: Path) -> 
         assert "car.capacity_kwh" in answer.line
 
 
+def test_a_charger_on_can_without_its_batterys_limits_is_a_configuration_error(plugd: Shell, tmp_path: Path) -> None:
+    path = tmp_path / "plugd.toml"
+    path.write_text(f'[plug]\nkind = "can_elcon"\n[state]\ndir = "{tmp_path}/state"\n')
+    answer = plugd("-c", str(path), "run")
+    assert answer.status == 78
+    assert answer.line.startswith("plugd: can.max_voltage_v: write the highest voltage that the battery bears")
+
+
 # -- beside a plug, a broker, a server ------------------------------------------------------------
 
 
