@@ -16,11 +16,11 @@ LOCK := $(VENV)-lock/bin/uv pip compile --quiet --universal --python-version 3.1
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 export PIP_ROOT_USER_ACTION = ignore
 
-.PHONY: help demo test weeks check bench lock clean
+.PHONY: help demo test weeks plugs fuzz can-week can-fuzz check bench lock clean
 .DELETE_ON_ERROR:
 
 help: ## what can be made
-	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-6s %s\n", $$1, $$2 }' Makefile
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' Makefile
 	@echo 'ARGS="..." is passed on; PYTHON=python3.13 chooses another Python.'
 
 demo: $(READY) ## a week of charging, simulated, in about a minute
@@ -31,6 +31,18 @@ test: $(READY) ## every test this machine can run, and a list of what it could n
 
 weeks: $(READY) ## the README's four weeks on measured intensity ($PLUGD_DATA), and that they hold
 	$(VENV)/bin/python tests/four_weeks.py
+
+plugs: $(READY) ## every plug: the whole contract suite, and a simulated week of each
+	$(VENV)/bin/python -m pytest --every-plug tests/contract tests/hil/test_every_plug.py $(ARGS)
+
+fuzz: $(READY) ## a million payloads at everything that a plug may say
+	$(VENV)/bin/python -m tests.fuzz_plugs --payloads 1000000 $(ARGS)
+
+can-week: $(READY) ## a week of the demo with the charger on CAN: no morning missed
+	$(VENV)/bin/python tests/can_week.py
+
+can-fuzz: $(READY) ## a million frames at random against the charger on CAN
+	$(VENV)/bin/python -m tests.fuzz_can $(ARGS)
 
 check: $(READY) ## style, types, layers
 	$(VENV)/bin/ruff check

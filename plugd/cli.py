@@ -130,7 +130,7 @@ def _plug(options: argparse.Namespace) -> int:
     from plugd.config import load
     from plugd.inspection import switch
 
-    print(switch(load(_config_path(options)), options.do))
+    print(switch(load(_config_path(options)), options.do, getattr(options, "amps", None)))
     return 0
 
 
@@ -178,7 +178,11 @@ def _parser() -> argparse.ArgumentParser:
     plan.add_argument("--solver", choices=("osqp", "exact"), default="osqp")
     plan.add_argument("--explain", action="store_true", help="why these slots, and what each bound costs")
     plug = add("plug", _plug, "the plug by hand")
-    plug.add_argument("do", choices=("show", "on", "off"))
+    does = plug.add_subparsers(dest="do", required=True, metavar="DO")
+    for name, text in (("show", "how it is"), ("on", "switch it on"), ("off", "switch it off, and leave it so")):
+        does.add_parser(name, help=text, description=text)
+    amps = does.add_parser("amps", help="a charger's current", description="A charger's current; 0 pauses it.")
+    amps.add_argument("amps", type=float, metavar="N", help="amperes")
     return parser
 
 

@@ -114,10 +114,7 @@ class Cycle:
         return self._next(now, action)
 
     def rest(self, due: datetime, inbox: Inbox, stopped: Callable[[], bool]) -> None:
-        """Wait until `due`, a message or a spurious end; a plug that wants a word every second gets it meanwhile.
-
-        What arrives while such a plug is tended is looked at with its next word, and the plug itself every `LOOK_S`.
-        """
+        """Wait until `due` or a message. A plug that wants a word a second gets it, and is looked at every `LOOK_S`."""
         plug = self.plug
         if not isinstance(plug, Tended):
             self.clock.wait(due, inbox)
@@ -223,7 +220,7 @@ class Cycle:
         # An "on" that is already on needs no word; an "off" has to be taken once, to arm or disarm its timer.
         if as_wanted and (wanted == Relay(True) or (same and self.switch.failures == 0)):
             obeyed = same and self.switch.failures > 0 and not was_on  # without an answer, as is seen only now
-            self.told = wanted
+            self.told = self.told if same else wanted  # a setpoint told earlier ends when it was told to
             self.switch.succeeded()
             self._clear("plug_refuses")
             if obeyed:
@@ -291,9 +288,7 @@ class Cycle:
         self.faults.pop((code, what), None)
 
     def _next(self, now: datetime, action: Action) -> datetime:
-        moments = [next_slot(now), action.until]
-        if not isinstance(self.plug, Tended):  # that is told its word between the steps
-            moments.append(self.plug.due())
+        moments = [next_slot(now), action.until, None if isinstance(self.plug, Tended) else self.plug.due()]
         moments += [retry.at for retry in (self.fetch, self.switch)]
         return min(m for m in moments if m is not None and m > now)
 
