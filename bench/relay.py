@@ -1,13 +1,16 @@
 """What a relay costs, and what makes its plan hold still: two tables from the whole cycle in its simulated house.
 
-    PLUGD_DATA=folder python bench/relay.py [--table relay|stillness] [--world NAME] [--kw KW] [--year] [--nights 14]
+    PLUGD_DATA=folder python bench/relay.py [--table relay|stillness|house] [--world NAME] [--kw KW] [--year]
 
 The real controller, relay and beat (`plugd.study.house.House`), the paper's driver, 50 kWh, efficiency 0.9, no random
 delay, four nights planned, the clocks of Europe/London; measured intensity of 2023 (without PLUGD_DATA a synthetic
 year). By default `--nights` nights from the middle of January, April, July and October; `--year`: all 357 nights.
 
-relay: the relay beside a charger that can take any power, with everything else the same, and the continuous optimum:
-the energy that each night really took, in the cleanest half hours of that night's session, which needs hindsight.
+relay: a year of the relay beside a charger that can take any power, with everything else the same and perfect
+foresight, in the study's own loop (`plugd.study.engine`), which runs the daemon's plan and relay code.
+
+house: the same through the whole cycle, and beside the continuous optimum: the energy that each night really took, in
+the cleanest half hours of that night's session, which needs hindsight.
 In the world `perfect` the forecast is what will be measured, to the end of the horizon; in `errors` it covers 48 h and
 its error grows to 20 % there as an autoregressive process (0.97 a half hour), the demo's.
 
@@ -36,6 +39,10 @@ from plugd.controller import Controller
 from plugd.domain import Capability, Decision, Household, Memory, Observation, Overrides, RelayRules, Switching
 from plugd.planner.exact import Exact
 from plugd.relay import slot_shares
+from plugd.series import IntensitySeries
+from plugd.study import measured, runs
+from plugd.study.engine import Account
+from plugd.study.forecasts import Noise
 from plugd.study.house import FunctionSource, House
 from plugd.study.world import Battery, Driver, Stay
 from plugd.units import HALF_HOUR, hours, next_slot, pieces, slot_start
@@ -248,8 +255,41 @@ def simulate(asked: argparse.Namespace, lines: list[Job]) -> dict[Job, list[Foun
     }
 
 
+def study_year(case: tuple[float, bool, int]) -> Account:
+    """A year of a charger or a relay with perfect foresight, in the study's loop: the daemon's plan and relay code."""
+    power_kw, modulating, seed = case
+    found = measured.measured(end_value.load().name, series_of(end_value.load()))
+    household = Household(relay=USUAL, capability=Capability(power_kw, modulating=modulating))
+    start, end = measured.span(found, None)
+    chosen = runs.paper_run("mpc", found, start, end, horizon=4, seed=seed, noise=Noise.NONE, household=household)
+    return runs.simulated(chosen)
+
+
+def series_of(year: Year) -> IntensitySeries:
+    """The year as the study takes it."""
+    return IntensitySeries(year.start, year.actual, (None,) * len(year.actual))
+
+
 def relay_table(asked: argparse.Namespace) -> None:
-    """The relay beside a charger of the same power."""
+    """The relay beside a charger of the same power, a year in seconds."""
+    cases = [(kw, m, seed) for kw in asked.kw or POWERS_KW for seed in range(asked.seeds) for m in (True, False)]
+    with ProcessPoolExecutor(asked.workers) as pool:
+        found = dict(zip(cases, pool.map(study_year, cases), strict=True))
+    print("| kW | charger g/kWh | relay g/kWh | relay against charger % | switch-ons a night | most | missed |")
+    print("|---|---|---|---|---|---|---|")
+    for kw in asked.kw or POWERS_KW:
+        chargers, relays = ([found[kw, m, seed] for seed in range(asked.seeds)] for m in (True, False))
+        charger_g, relay_g = (fmean(each.carbon_g_per_kwh or 0.0 for each in kind) for kind in (chargers, relays))
+        nights = [night for each in relays for night in each.nights]
+        print(
+            f"| {kw:g} | {charger_g:.2f} | {relay_g:.2f} | {100.0 * (relay_g / charger_g - 1.0):+.2f} | "
+            f"{fmean(night.switch_ons for night in nights):.2f} | {max(night.switch_ons for night in nights)} | "
+            f"{sum(night.morning.missed for night in nights)} |"
+        )
+
+
+def house_table(asked: argparse.Namespace) -> None:
+    """The same through the whole cycle, with forecast errors too."""
     hold = USUAL.hold_g_per_kwh
     lines = [
         Job(kw, modulating, world, hold, 0, 0, 0)
@@ -292,7 +332,7 @@ def stillness_table(asked: argparse.Namespace) -> None:
         )
 
 
-TABLES = {"relay": relay_table, "stillness": stillness_table}
+TABLES = {"relay": relay_table, "stillness": stillness_table, "house": house_table}
 
 
 def main() -> None:
@@ -306,9 +346,11 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--workers", type=int, default=2)
     asked = parser.parse_args()
-    for name in asked.table or TABLES:
+    for name in asked.table or ("relay", "stillness"):
         began = time.monotonic()
-        print(f"{name}: {end_value.load().name}, {sum(n for _, n in spans(asked))} nights, {asked.seeds} seeds")
+        print(f"{name}: {end_value.load().name}, {asked.seeds} seeds", end="")
+        nights = sum(n for _, n in spans(asked))
+        print("" if name == "relay" else f", {nights} nights")
         TABLES[name](asked)
         print(f"{time.monotonic() - began:.0f} s\n", flush=True)
 

@@ -103,14 +103,10 @@ class Controller:
         power_kw = believed_kw(memory.observed_kw, self.household.capability.power_max_kw)
         parts = nights.layout(coming, now, energy_kwh, power_kw, self.household)
         asked = nights.problem(parts, outlook, energy_kwh, memory.plan, self.household, history)
-        held = hold.held(asked, parts, now, self._hold_g_per_kwh())
+        held = hold.held(asked, parts, now, self.household)
         stated, solution = taper.solve(self.solver, held, car)
         stated, solution = hold.let_go(asked, stated, solution)
         return nights.plan(now, parts, stated, solution, self.household)
-
-    def _hold_g_per_kwh(self) -> float:
-        """A relay is spared; a charger changes its power without wear."""
-        return 0.0 if self.household.capability.modulating else self.household.relay.hold_g_per_kwh
 
     def _orders(self, now: datetime, plan: Plan, memory: Memory) -> Orders:
         """Tonight's plan in the plug's own terms."""

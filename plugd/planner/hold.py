@@ -8,6 +8,7 @@ slots cleaner by more than that. Later slots move as they like: nothing has been
 from dataclasses import replace
 from datetime import datetime
 
+from plugd.domain import Household
 from plugd.planner.nights import Part
 from plugd.planner.problem import Problem, ProblemSession, Solution
 from plugd.units import HALF_HOUR, next_slot
@@ -16,9 +17,13 @@ KEPT_SHARE = 0.5
 """Of what a slot can have: a slot that had less in the last plan is not held."""
 
 
-def held(asked: Problem, parts: tuple[Part, ...], now: datetime, hold_g_per_kwh: float) -> Problem:
-    """The problem to solve in place of `asked`. Where nothing is held it is `asked` itself."""
-    if asked.previous_power_kw is None or hold_g_per_kwh <= 0.0:
+def held(asked: Problem, parts: tuple[Part, ...], now: datetime, household: Household) -> Problem:
+    """The problem to solve in place of `asked`. Where nothing is held it is `asked` itself.
+
+    A relay is spared; a charger changes its power without wear.
+    """
+    hold_g_per_kwh = household.relay.hold_g_per_kwh
+    if asked.previous_power_kw is None or hold_g_per_kwh <= 0.0 or household.capability.modulating:
         return asked
     until = next_slot(now) + HALF_HOUR
     sessions = []
@@ -35,6 +40,9 @@ def held(asked: Problem, parts: tuple[Part, ...], now: datetime, hold_g_per_kwh:
 
 def let_go(asked: Problem, stated: Problem, solution: Solution) -> tuple[Problem, Solution]:
     """What was solved and its solution with the carbon as it is: every slot with the intensity it had in `asked`."""
+    pairs = zip(stated.sessions, asked.sessions, strict=True)
+    if all(solved.intensity_g_per_kwh is own.intensity_g_per_kwh for solved, own in pairs):
+        return stated, solution
     sessions = tuple(
         replace(solved, intensity_g_per_kwh=own.intensity_g_per_kwh)
         for solved, own in zip(stated.sessions, asked.sessions, strict=True)

@@ -100,7 +100,10 @@ def simulated(run: Run) -> Account:
     """What comes of a run."""
     forecasts = Synthetic(run.found, run.noise, run.seed, run.world.start, run.growth)
     solver = _solver(run.solver)
-    chosen = strategy(run.strategy, run.world.household, forecasts, solver, previous=run.solver != "exact")
+    household = run.world.household
+    # Only OSQP, which begins from it, and a relay, whose slots are held, have a use for the plan before.
+    previous = run.solver != "exact" or not household.capability.modulating
+    chosen = strategy(run.strategy, household, forecasts, solver, previous=previous)
     return simulate(run.world, chosen, run.found)
 
 

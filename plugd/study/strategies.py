@@ -13,7 +13,7 @@ from plugd import controller, soc
 from plugd.domain import Household, Orders, Plan, Session, SessionPlan, Setpoint, SocEstimate, Switching
 from plugd.errors import UsageError
 from plugd.guard import Need, last_safe_start
-from plugd.planner import nights, taper
+from plugd.planner import hold, nights, taper
 from plugd.planner.end_value import Steps
 from plugd.planner.problem import Solver
 from plugd.relay import RelayHistory
@@ -153,7 +153,8 @@ class Planned:
         energy_kwh = soc.cautious(estimate) * house.car.capacity_kwh
         parts = nights.layout(self.coming, now, energy_kwh, power_kw, house)
         asked = nights.stated(parts, g_per_kwh, energy_kwh, self.plan, house, worth)
-        stated, solution = taper.solve(self.solver, asked, house.car)
+        stated, solution = taper.solve(self.solver, hold.held(asked, parts, now, house), house.car)
+        stated, solution = hold.let_go(asked, stated, solution)
         if self.previous:
             self.plan = nights.plan(now, parts, stated, solution, house)
             return self.plan.sessions[0]
