@@ -215,6 +215,27 @@ class SetReadyBy:
 
 
 @dataclass(frozen=True, slots=True)
+class SetWeek:
+    """The weekdays that differ, in the order of the week; None to go back to the configured ones."""
+
+    week: tuple[tuple[int, DayRule], ...] | None
+
+
+@dataclass(frozen=True, slots=True)
+class SetTrip:
+    """One morning that differs. It replaces what was set for that day before."""
+
+    trip: Trip
+
+
+@dataclass(frozen=True, slots=True)
+class ClearTrip:
+    """That morning is as any other again."""
+
+    day: date
+
+
+@dataclass(frozen=True, slots=True)
 class SetHorizon:
     """How many sessions are planned together."""
 
@@ -233,7 +254,9 @@ class Replan:
     """Plan now."""
 
 
-Command = SetMode | SetSoc | SetMinimum | SetReadyBy | SetHorizon | SetConnected | Replan
+Command = (
+    SetMode | SetSoc | SetMinimum | SetReadyBy | SetWeek | SetTrip | ClearTrip | SetHorizon | SetConnected | Replan
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -430,6 +453,8 @@ class Overrides:
     ready_by: time | None = None
     horizon: int | None = None
     trips: tuple[Trip, ...] = ()
+    """In order of their days. Each is forgotten when its day is over."""
+    week: tuple[tuple[int, DayRule], ...] | None = None
 
 
 @dataclass(frozen=True, slots=True)
