@@ -140,7 +140,7 @@ class Cycle:
     def _seen(
         self, reading: Reading | None, orders: tuple[Command, ...] = (), history: tuple[Intensity, ...] = ()
     ) -> Observation:
-        faults = {fault.code: fault for fault in (*self.faults.values(), *self.plug.warnings)}
+        faults = {fault.code: fault for fault in (*self.faults.values(), *self.plug.warnings, *self.hub.warnings)}
         return Observation(reading, self.forecast, history, orders, tuple(faults.values()))
 
     def _tick_due(self, now: datetime) -> bool:
