@@ -220,6 +220,13 @@ def _intensity_at(now: datetime, outlook: Outlook | None) -> float | None:
     return next((round(s.g_per_kwh, 1) for s in slots if s.start == slot_start(now)), None)
 
 
+def _power_kw(reading: Reading | None) -> float | None:
+    """What flows now. Through an open relay nothing does, though its meter has not said so yet."""
+    if reading is None or reading.power_kw is not None:
+        return reading.power_kw if reading else None
+    return None if reading.on or reading.energy_kwh is None else 0.0
+
+
 def _forecast_age_min(decision: Decision, issued_at: datetime | None) -> int | None:
     return None if issued_at is None else int((decision.at - issued_at).total_seconds() // 60)
 
@@ -234,7 +241,7 @@ def state(decision: Decision, reading: Reading | None, household: Household) -> 
     stop = orders.next(now, False) if orders else None
     ends = [slot.end for slot in (tonight.slots if tonight else ()) if slot.power_kw > 0.01 and slot.end > now]
     told_at = memory.soc.told_at
-    power_kw = None if reading is None else reading.power_kw
+    power_kw = _power_kw(reading)
     zone = ZoneInfo(household.timezone)
     today = [at for at in memory.switch_ons if at.astimezone(zone).date() == now.astimezone(zone).date()]
     outlook = decision.outlook

@@ -458,6 +458,23 @@ def test_the_state_says_what_is() -> None:
     assert told["morning_soc_pct"] == pytest.approx(60 + 3 * 2.3 * 0.9 * 2, abs=0.1)
 
 
+@pytest.mark.parametrize(
+    ("reading", "power_w", "charging"),
+    [
+        (Reading(NIGHT, True, 2.3, 12.5), 2300.0, True),
+        (Reading(NIGHT, True, 0.0, 12.5), 0.0, False),
+        (Reading(NIGHT, True, None, 12.5), None, None),
+        (Reading(NIGHT, False, None, 12.5), 0.0, False),
+        (Reading(NIGHT, False, 2.3, 12.5), 2300.0, True),
+        (Reading(NIGHT, False), None, None),
+        (None, None, None),
+    ],
+)
+def test_it_charges_where_power_flows(reading: Reading | None, power_w: float | None, charging: bool | None) -> None:
+    told = state(decided(), reading, HOME)
+    assert (told["power_w"], told["charging"]) == (power_w, charging)
+
+
 def test_switch_ons_are_todays_by_the_local_calendar() -> None:
     memory = replace(knows(0.6), switch_ons=(at(23, 30, day=1), at(1), at(4)))
     assert state(decided(memory), None, HOME)["switch_ons_today"] == 2
