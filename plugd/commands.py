@@ -46,7 +46,15 @@ def _mode(command: SetMode, memory: Memory, household: Household, now: datetime)
 
 
 def _soc(command: SetSoc, memory: Memory, household: Household, now: datetime) -> Outcome:
-    memory = replace(memory, soc=soc.told(memory.soc, command.soc, now, command.source))
+    if command.source == soc.CAR:
+        heard = soc.heard(memory.soc, command.soc, now)
+        if heard.doubted is not None:
+            said, known = to_pct(command.soc), to_pct(memory.soc.mean)
+            why = f"the car says {said:g} % where {known:g} % was expected; believed if it still does in a minute"
+            return replace(memory, soc=heard), Answer("soc", False, why)
+        memory = replace(memory, soc=heard)
+    else:
+        memory = replace(memory, soc=soc.told(memory.soc, command.soc, now, command.source))
     return memory, Answer("soc", True, f"the battery is at {to_pct(command.soc):g} %")
 
 
@@ -198,6 +206,11 @@ _APPLY: dict[type, Callable[[Any, Memory, Household, datetime], Outcome]] = {
     SetConnected: _connected,
     Replan: _replan,
 }
+
+
+def is_news(command: Command, memory: Memory, now: datetime) -> bool:
+    """Whether a command is worth a decision; only a car that goes on saying the same is not."""
+    return not isinstance(command, SetSoc) or command.source != soc.CAR or soc.is_news(memory.soc, command.soc, now)
 
 
 def apply(

@@ -77,6 +77,8 @@ class Car:
     taper_from: float = 1.0
     """From this SOC on it takes less, in a straight line down to `taper_share` of the power when full; 1: never."""
     taper_share: float = 0.2
+    soc_max_age_s: float = 1800.0
+    """An older word of the car counts as none: the SOC is then called what it is, carried on by the meter."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -442,6 +444,11 @@ class SocEstimate:
     """Highest power since the relay last went on: a fall from it, then nothing, means the car is full."""
     last_kw: float = 0.0
     """Power of the last reading that showed any."""
+    car_said: float | None = None
+    """The car's last word that was believed, until somebody else says another."""
+    doubted: float | None = None
+    """A word of the car that was too far off to be believed at once."""
+    doubted_at: datetime | None = None
 
 
 @dataclass(frozen=True, slots=True)

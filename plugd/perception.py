@@ -100,6 +100,7 @@ def _run_out(now: datetime, memory: Memory, household: Household) -> Memory:
     if any(trip.day < sessions.today(now, household) for trip in memory.overrides.trips):
         trips = tuple(trip for trip in memory.overrides.trips if trip.day >= sessions.today(now, household))
         memory = replace(memory, overrides=replace(memory.overrides, trips=trips))
+    memory = replace(memory, soc=soc.aged(memory.soc, now, household.car))
     if memory.overrides.mode is Mode.NOW and memory.soc.mean >= household.car.soc_max:
         memory = replace(memory, overrides=replace(memory.overrides, mode=Mode.SMART))
     if memory.press is not None and memory.press.until is not None and now >= memory.press.until:

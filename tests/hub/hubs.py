@@ -69,7 +69,7 @@ class Failed(Exception):
     """The hub, or plugd, did not do what it should."""
 
 
-def until(look: Callable[[], Found | None], what: str, within_s: float = 30.0) -> Found:
+def until(look: Callable[[], Found], what: str, within_s: float = 30.0) -> Found:
     """What `look` finds, tried again until it is true. Raises Failed."""
     end = time.monotonic() + within_s
     while True:

@@ -89,6 +89,15 @@ def test_a_told_soc_counts_from_now() -> None:
     assert (answer.command, answer.ok, answer.message) == ("soc", True, "the battery is at 43 %")
 
 
+def test_a_jump_of_the_cars_is_answered_and_a_persons_word_is_believed_at_once() -> None:
+    memory = replace(MEMORY, soc=replace(MEMORY.soc, told_at=NIGHT))
+    after, (answer,) = commands.apply((SetSoc(0.0, "car"),), memory, HOME, NIGHT)
+    assert (after.soc.mean, after.soc.doubted) == (0.6, 0.0)
+    assert not answer.ok
+    assert answer.message == "the car says 0 % where 60 % was expected; believed if it still does in a minute"
+    assert told(memory, SetSoc(0.0, "hub")).soc.mean == 0.0
+
+
 def test_commands_are_applied_in_order() -> None:
     memory, answers = commands.apply((SetSoc(0.3), SetMode(Mode.OFF), SetSoc(0.4)), MEMORY, HOME, NIGHT)
     assert memory.soc.mean == 0.4
