@@ -19,18 +19,12 @@ from typing import Any
 from plugd.adapters import homeassistant
 from plugd.adapters.clock import utc_now
 from plugd.domain import Household
-from tests.hub.hubs import BASE, Failed, HomeAssistant, House, until
+from tests.hub.hubs import BASE, Failed, HomeAssistant, House, say, until
 
 ROOT = Path(__file__).resolve().parents[2]
 DASHBOARD = ROOT / "docs" / "home-assistant-dashboard.yaml"
 BACK_S = 30.0
 EXPECTED: dict[str, dict[str, Any]] = homeassistant.device(BASE, Household())["components"]
-
-
-def say(text: str) -> None:
-    """One line of progress."""
-    sys.stdout.write(f"{text}\n")
-    sys.stdout.flush()
 
 
 class Try:

@@ -3,6 +3,7 @@
 import json
 import shlex
 import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -63,6 +64,12 @@ lovelace:
 
 
 Found = TypeVar("Found")
+
+
+def say(text: str) -> None:
+    """One line of progress."""
+    sys.stdout.write(f"{text}\n")
+    sys.stdout.flush()
 
 
 class Failed(Exception):
