@@ -253,7 +253,7 @@ def _sensors() -> dict[str, Component]:
         },
         "trips": {
             "name": "Trips",
-            "icon": "mdi:calendar-car",
+            "icon": "mdi:road-variant",
             "value_template": "{{ value_json.settings.trips | length }}",
             **_attributes("state", TRIPS),
         },

@@ -19,7 +19,7 @@ from typing import Any
 from plugd.adapters import homeassistant
 from plugd.adapters.clock import utc_now
 from plugd.domain import Household
-from tests.hub.hubs import BASE, Failed, HomeAssistant, House, say, until
+from tests.hub.hubs import BASE, Failed, HomeAssistant, House, end_in_order, say, until
 
 ROOT = Path(__file__).resolve().parents[2]
 DASHBOARD = ROOT / "docs" / "home-assistant-dashboard.yaml"
@@ -205,6 +205,7 @@ def main() -> int:
     p.add_argument("--folder", type=Path, help="where everything is written (a new one)")
     p.add_argument("--keep", action="store_true", help="go on running at the end, until Ctrl-C")
     options = p.parse_args()
+    end_in_order()
     with ExitStack() as left:
         folder = options.folder or Path(left.enter_context(tempfile.TemporaryDirectory()))
         (folder / "hass").mkdir(parents=True)

@@ -2,6 +2,7 @@
 
 import json
 import shlex
+import signal
 import subprocess
 import sys
 import threading
@@ -70,6 +71,11 @@ def say(text: str) -> None:
     """One line of progress."""
     sys.stdout.write(f"{text}\n")
     sys.stdout.flush()
+
+
+def end_in_order() -> None:
+    """SIGTERM ends the program as Ctrl-C does: with all that it started."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
 
 
 class Failed(Exception):

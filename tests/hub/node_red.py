@@ -15,7 +15,7 @@ import requests
 
 from plugd.adapters.clock import utc_now
 from plugd_hil.broker import HOST, free_port
-from tests.hub.hubs import BASE, Failed, House, say, until
+from tests.hub.hubs import BASE, Failed, House, end_in_order, say, until
 
 FLOW = Path(__file__).resolve().parents[2] / "docs" / "node-red-flow.json"
 SETTINGS = """module.exports = {{
@@ -92,6 +92,7 @@ def main() -> int:
     p = argparse.ArgumentParser(prog="tests.hub.node_red", description=__doc__)
     p.add_argument("--node-red", required=True, help="the command that starts Node-RED")
     options = p.parse_args()
+    end_in_order()
     with ExitStack() as left:
         folder = Path(left.enter_context(tempfile.TemporaryDirectory()))
         (folder / "red").mkdir()
