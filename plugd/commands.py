@@ -48,11 +48,11 @@ def _mode(command: SetMode, memory: Memory, household: Household, now: datetime)
 def _soc(command: SetSoc, memory: Memory, household: Household, now: datetime) -> Outcome:
     if command.source == soc.CAR:
         heard = soc.heard(memory.soc, command.soc, now)
-        if heard.doubted is not None:
-            said, known = to_pct(command.soc), to_pct(memory.soc.mean)
-            why = f"the car says {said:g} % where {known:g} % was expected; believed if it still does in a minute"
-            return replace(memory, soc=heard), Answer("soc", False, why)
         memory = replace(memory, soc=heard)
+        if abs(heard.mean - command.soc) > soc.FROZEN:
+            why = f"the car says {to_pct(command.soc):g} % where {to_pct(heard.mean):g} % was expected"
+            remedy = "; believed if it still does in a minute" if heard.doubted is not None else ", and does not move"
+            return memory, Answer("soc", False, why + remedy)
     else:
         memory = replace(memory, soc=soc.told(memory.soc, command.soc, now, command.source))
     return memory, Answer("soc", True, f"the battery is at {to_pct(command.soc):g} %")

@@ -27,7 +27,7 @@ JUMP, JUMP_PER_MIN = 0.05, 0.05
 """How far a word of the car may be from the estimate, at once and for each minute since the last word."""
 CONFIRMED_AFTER = timedelta(seconds=60)
 FROZEN = 0.04
-"""What has flowed while the car says exactly what it said before: then it repeats an old word."""
+"""What may have flowed while the car says exactly what it said before: it may count in whole points."""
 SAME, SAID_OFTEN, SAID_AGAIN = 0.02, timedelta(minutes=1), timedelta(minutes=5)
 """A car may speak every second: within the first time no word is news, and one much the same not within the second."""
 
@@ -60,7 +60,15 @@ def told(estimate: SocEstimate, soc: float, now: datetime, source: str) -> SocEs
 
 
 def heard(estimate: SocEstimate, soc: float, now: datetime) -> SocEstimate:
-    """The car says how full it is. A jump is believed once it says so again; see `doubts`."""
+    """The car says how full it is. A jump is believed once it says so again; see `doubts`.
+
+    The very word it said before does not take back what has flowed since. Where too much has, it repeats an old
+    word, or nothing reaches the battery: then promises are made on what it says, and the mean stays the meter's.
+    """
+    if soc == estimate.car_said and estimate.mean >= soc:
+        if estimate.mean - soc <= FROZEN:
+            return replace(estimate, source=CAR, told_at=now, doubted=None, doubted_at=None)
+        return replace(estimate, sd=max(estimate.sd, (estimate.mean - soc) / CAUTION_SD))
     if not doubts(estimate, soc, now):
         return told(estimate, soc, now, CAR)
     if estimate.doubted is not None and estimate.doubted_at is not None and abs(soc - estimate.doubted) <= JUMP:
@@ -82,7 +90,7 @@ def doubts(estimate: SocEstimate, soc: float, now: datetime) -> bool:
 def is_news(estimate: SocEstimate, soc: float, now: datetime) -> bool:
     """Whether a word of the car is worth a decision of its own."""
     if soc == estimate.car_said and estimate.mean - soc > FROZEN:
-        return False
+        return cautious(estimate) > soc + SAME
     if estimate.told_at is None or now < estimate.told_at or estimate.source != CAR:
         return True
     if doubts(estimate, soc, now):

@@ -150,15 +150,33 @@ def test_a_clock_set_back_does_not_make_the_car_unheard_for_ever() -> None:
     assert words(before, (0, 0.8), (61, 0.8)).mean == 0.8
 
 
-def test_the_same_word_while_energy_flows_is_an_old_one() -> None:
-    said = known(0.5)
-    carried = soc.metered(said, reading(60, 102.3), CAR, POWER_KW)
-    later = NOW + timedelta(minutes=60)
-    assert carried.mean > 0.5 + soc.FROZEN
-    assert not soc.is_news(carried, 0.5, later)
-    assert soc.is_news(carried, 0.54, later)
-    driven = soc.driven(said, ((NOW, 1),), CAR)
-    assert soc.is_news(driven, 0.5, later), "it was not driven after all"
+def test_a_word_that_does_not_move_while_energy_flows_lowers_what_is_promised_and_not_the_mean() -> None:
+    estimate = known(0.5)
+    for minute in range(5, 125, 5):
+        kwh, now = 100.0 + 2.3 * minute / 60, NOW + timedelta(minutes=minute)
+        estimate = soc.metered(estimate, reading(minute, kwh), CAR, POWER_KW)
+        if soc.is_news(estimate, 0.5, now):
+            estimate = soc.heard(estimate, 0.5, now)
+    assert estimate.mean == pytest.approx(0.5 + 4.6 * 0.9 / 50)
+    assert soc.cautious(estimate) == pytest.approx(0.5, abs=0.021)
+    assert estimate.told_at is not None
+    assert NOW + timedelta(minutes=50) < estimate.told_at < NOW + timedelta(minutes=65), "then it was an old word"
+    moved = soc.heard(estimate, 0.58, NOW + timedelta(minutes=125))
+    assert (moved.mean, moved.sd) == (0.58, soc.TOLD_SD)
+
+
+def test_a_car_that_counts_in_whole_points_does_not_take_back_what_has_flowed() -> None:
+    carried = soc.metered(known(0.5), reading(30, 101.15), CAR, POWER_KW)
+    later = NOW + timedelta(minutes=30)
+    assert soc.heard(carried, 0.5, later) == replace(carried, told_at=later)
+    assert soc.heard(carried, 0.52, later).mean == 0.52
+
+
+def test_the_same_word_after_a_day_that_was_not_driven_is_believed() -> None:
+    driven = soc.driven(known(0.5), ((NOW, 1),), CAR)
+    later = NOW + timedelta(minutes=30)
+    assert soc.is_news(driven, 0.5, later)
+    assert soc.heard(driven, 0.5, later).mean == 0.5
 
 
 def test_a_car_that_speaks_every_second_does_not_make_a_decision_of_every_word() -> None:
