@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from typing import TypeVar
 
+from plugd import commands
 from plugd.beat import LEASE, Action, is_on
 from plugd.beat import Cause as By
 from plugd.controller import Controller
@@ -91,7 +92,7 @@ class Cycle:
         now = self.clock.now()
         was_on = self.memory.relay_on
         reading = self._read()
-        orders = tuple(self.hub.commands())
+        orders = tuple(order for order in self.hub.commands() if commands.is_news(order, self.memory, now))
         pressed = reading is not None and reading.changed_by_other is not None
         due = self._tick_due(now)
         if due:  # a command or a press does not wait for the network
@@ -140,7 +141,7 @@ class Cycle:
     def _seen(
         self, reading: Reading | None, orders: tuple[Command, ...] = (), history: tuple[Intensity, ...] = ()
     ) -> Observation:
-        faults = {fault.code: fault for fault in (*self.faults.values(), *self.plug.warnings)}
+        faults = {fault.code: fault for fault in (*self.faults.values(), *self.plug.warnings, *self.hub.warnings)}
         return Observation(reading, self.forecast, history, orders, tuple(faults.values()))
 
     def _tick_due(self, now: datetime) -> bool:

@@ -117,6 +117,8 @@ def hub_for(config: Config, connection: MqttConnection, plug: Plug) -> MqttHub:
         base=base_topic(config),
         soc_topic=config.car.soc_topic,
         soc_json_key=config.car.soc_json_key,
+        soc_fraction=config.car.soc_unit == "fraction",
+        discovery_prefix=config.broker.discovery_prefix,
     )
     return MqttHub(connection, topics, household(config, plug.capability))
 

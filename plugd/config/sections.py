@@ -38,7 +38,7 @@ class BrokerSection(Section):
     tls: bool = False
     ca_file: File | None = None
     topic: Topic = "plugd"
-    discovery_prefix: Topic = "homeassistant"
+    discovery_prefix: Topic | Literal[""] = "homeassistant"
 
 
 class MqttPlugSection(Section):
@@ -108,6 +108,7 @@ class CarSection(Section):
     daily_use_sd_kwh: Annotated[float, Field(ge=0, le=500)] = 2.67
     soc_topic: Topic | None = None
     soc_json_key: Text | None = None
+    soc_unit: Literal["percent", "fraction"] = "percent"
     soc_max_age_min: Annotated[float, Field(gt=0, le=1440)] = 30.0
 
 
