@@ -127,6 +127,21 @@ def test_the_light_loop_agrees_with_the_whole_cycle(horizon: int, modulating: bo
     assert light.missed == sum(morning.missed for morning in house.mornings) == 0
 
 
+def test_what_is_left_in_the_battery_is_settled_at_the_mean_intensity() -> None:
+    """A full battery at the end is no saving, and an empty one no waste: at one intensity all strategies are equal."""
+    flat = replace(FOUND, actual=(80.0,) * len(FOUND.actual))
+    full, planned = (simulated(replace(run(name, 4), found=flat)) for name in ("uncontrolled", "mpc"))
+    assert full.end_kwh > planned.end_kwh + 5.0
+    assert full.used_kwh == pytest.approx(planned.used_kwh)
+    assert full.carbon_g_per_kwh == pytest.approx(80.0)
+    assert planned.carbon_g_per_kwh == pytest.approx(80.0)
+    account = simulated(run("uncontrolled", 4))
+    left_kwh = account.end_kwh - 25.0
+    mean = sum(FOUND.actual[24 : 24 + 4 * 48]) / (4 * 48)
+    driven_kwh = sum(night.driven_kwh for night in account.nights)
+    assert account.carbon_g_per_kwh == pytest.approx((account.carbon_g - left_kwh * mean) / driven_kwh)
+
+
 def first(account: Account) -> tuple[float, float, float]:
     """Hours from plug-in to the first flow, from the last one to the session's end, and the SOC there."""
     night = account.nights[0]
