@@ -11,7 +11,7 @@ READY := $(VENV)/ready-$(VERSION)
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 export PIP_ROOT_USER_ACTION = ignore
 
-.PHONY: help demo test weeks check bench lock clean
+.PHONY: help demo test weeks study check bench lock clean
 .DELETE_ON_ERROR:
 
 help: ## what can be made
@@ -26,6 +26,9 @@ test: $(READY) ## every test this machine can run, and a list of what it could n
 
 weeks: $(READY) ## the README's four weeks on measured intensity ($PLUGD_DATA), and that they hold
 	$(VENV)/bin/python tests/four_weeks.py
+
+study: $(READY) ## the paper's table and regions on measured intensity ($PLUGD_DATA), two seeds, and that they hold
+	$(VENV)/bin/python tests/study_figures.py
 
 check: $(READY) ## style, types, layers
 	$(VENV)/bin/ruff check
