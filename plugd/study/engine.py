@@ -84,12 +84,14 @@ class Account:
     def carbon_g_per_kwh(self) -> float | None:
         """The paper's C_EV, of what was driven; None where nothing was.
 
-        What the battery holds more at the end than at the start was charged for later, what it holds less is owed:
-        either counts at the mean intensity. Otherwise a fortnight of charging to the ceiling would be judged by
-        energy that it never drives.
+        What the battery holds less at the end than at the start is owed at the mean intensity. What it holds more was
+        charged for later, and leaves at the lower of the mean and what it cost. Otherwise a fortnight of charging to
+        the ceiling would be judged by energy that it never drives.
         """
-        owed_kwh = self.used_kwh - self.energy_kwh
-        settled_g = self.carbon_g + owed_kwh * self.mean_g_per_kwh
+        owed_kwh, rate = self.used_kwh - self.energy_kwh, self.mean_g_per_kwh
+        if owed_kwh < 0.0:
+            rate = min(rate, self.carbon_g / self.energy_kwh)
+        settled_g = self.carbon_g + owed_kwh * rate
         return settled_g / self.used_kwh if self.used_kwh > 0.0 else None
 
     @property

@@ -127,7 +127,7 @@ def test_the_light_loop_agrees_with_the_whole_cycle(horizon: int, modulating: bo
     assert light.missed == sum(morning.missed for morning in house.mornings) == 0
 
 
-def test_what_is_left_in_the_battery_is_settled_at_the_mean_intensity() -> None:
+def test_what_is_left_in_the_battery_is_settled() -> None:
     """A full battery at the end is no saving, and an empty one no waste: at one intensity all strategies are equal."""
     flat = replace(FOUND, actual=(80.0,) * len(FOUND.actual))
     full, planned = (simulated(replace(run(name, 4), found=flat)) for name in ("uncontrolled", "mpc"))
@@ -135,11 +135,20 @@ def test_what_is_left_in_the_battery_is_settled_at_the_mean_intensity() -> None:
     assert full.used_kwh == pytest.approx(planned.used_kwh)
     assert full.carbon_g_per_kwh == pytest.approx(80.0)
     assert planned.carbon_g_per_kwh == pytest.approx(80.0)
-    account = simulated(run("uncontrolled", 4))
-    left_kwh = account.end_kwh - 25.0
-    mean = sum(FOUND.actual[24 : 24 + 4 * 48]) / (4 * 48)
-    driven_kwh = sum(night.driven_kwh for night in account.nights)
-    assert account.carbon_g_per_kwh == pytest.approx((account.carbon_g - left_kwh * mean) / driven_kwh)
+
+
+def test_energy_left_is_worth_the_mean_but_never_more_than_it_cost() -> None:
+    account = Account((), (), end_kwh=30.0, used_kwh=10.0, mean_g_per_kwh=100.0)
+    night = simulated(run("uncontrolled", 2)).nights[0]
+
+    def g_per_kwh(charged_kwh: float, carbon_g: float) -> float | None:
+        return replace(account, nights=(replace(night, charged_kwh=charged_kwh, carbon_g=carbon_g),)).carbon_g_per_kwh
+
+    assert g_per_kwh(15.0, 15.0 * 200.0) == pytest.approx((15.0 * 200.0 - 5.0 * 100.0) / 10.0)
+    assert g_per_kwh(15.0, 15.0 * 40.0) == pytest.approx(40.0)
+    assert g_per_kwh(15.0, 0.0) == 0.0
+    assert g_per_kwh(6.0, 6.0 * 40.0) == pytest.approx((6.0 * 40.0 + 4.0 * 100.0) / 10.0)
+    assert replace(account, used_kwh=0.0).carbon_g_per_kwh is None
 
 
 def first(account: Account) -> tuple[float, float, float]:
