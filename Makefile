@@ -20,7 +20,7 @@ LOCK := $(VENV)-lock/bin/uv pip compile --quiet --universal --python-version 3.1
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 export PIP_ROOT_USER_ACTION = ignore
 
-.PHONY: help demo test hub-test weeks plugs fuzz can-week can-fuzz check bench lock clean
+.PHONY: help demo test hub-test weeks study plugs fuzz can-week can-fuzz check bench lock clean
 .DELETE_ON_ERROR:
 
 help: ## what can be made
@@ -55,6 +55,9 @@ can-week: $(READY) ## a week of the demo with the charger on CAN: no morning mis
 
 can-fuzz: $(READY) ## a million frames at random against the charger on CAN
 	$(VENV)/bin/python -m tests.fuzz_can $(ARGS)
+
+study: $(READY) ## the paper's table and regions on measured intensity ($PLUGD_DATA), two seeds, and that they hold
+	$(VENV)/bin/python tests/study_figures.py
 
 check: $(READY) ## style, types, layers
 	$(VENV)/bin/ruff check
