@@ -234,10 +234,10 @@ def _parser() -> argparse.ArgumentParser:
     fetch.add_argument("--out", type=Path, metavar="CSV", help="instead of the store; needs no configuration")
     does.add_parser("show", help="what the store knows")
     plug = add("plug", _plug, "the plug by hand")
-    does = plug.add_subparsers(dest="do", required=True, metavar="DO")
+    by_hand = plug.add_subparsers(dest="do", required=True, metavar="DO")
     for name, text in (("show", "how it is"), ("on", "switch it on"), ("off", "switch it off, and leave it so")):
-        does.add_parser(name, help=text, description=text)
-    amps = does.add_parser("amps", help="a charger's current", description="A charger's current; 0 pauses it.")
+        by_hand.add_parser(name, help=text, description=text)
+    amps = by_hand.add_parser("amps", help="a charger's current", description="A charger's current; 0 pauses it.")
     amps.add_argument("amps", type=float, metavar="N", help="amperes")
     return parser
 
