@@ -423,6 +423,7 @@ def outcome(text: str) -> Config | str:
 @given(st.one_of(st.text(max_size=200), ASSIGNMENTS, ASSIGNMENTS.map(lambda a: f'plug.topic = "x"\n{a}')))
 @example('"\\u2028\\n" = 1')
 @example('broker.password = "\\u0085"')
+@example('"\\n." = false')
 def test_whatever_is_written_it_is_a_configuration_or_one_line(text: str) -> None:
     result = outcome(text)
     if isinstance(result, str):
