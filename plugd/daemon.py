@@ -21,6 +21,7 @@ from plugd.adapters.shelly2 import Shelly2
 from plugd.adapters.store import SqliteStore
 from plugd.adapters.switched import SwitchedPlug
 from plugd.adapters.tasmota import Tasmota
+from plugd.book import Book
 from plugd.config import Config, household
 from plugd.config.sections import MODULATING
 from plugd.controller import Controller
@@ -129,9 +130,10 @@ def cycle_for(config: Config, clock: Clock, connection: MqttConnection, store: S
     remembered = _remembered(store)
     home = household(config, plug.capability)
     seed = f"{config.name}/{config.plug.topic}"
+    source = source_for(config)
     return Cycle(
         clock=clock,
-        source=source_for(config),
+        source=source,
         plug=plug,
         hub=hub_for(config, connection, plug),
         store=store,
@@ -139,6 +141,7 @@ def cycle_for(config: Config, clock: Clock, connection: MqttConnection, store: S
         memory=remembered or perception.fresh(clock.now()),
         spread=random.Random(seed).random,
         forecast=kept_forecast(store, config),
+        book=Book(store, source, home),
     )
 
 

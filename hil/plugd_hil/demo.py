@@ -90,6 +90,8 @@ class Options:
     plug: str = "tasmota"
     soc: str = "arrival"
     json: bool = False
+    keep: Path | None = None
+    """Where the daemon's configuration and state stay, for `plugd report`; else nothing stays."""
 
 
 def series_for(options: Options) -> IntensitySeries:
@@ -168,8 +170,8 @@ def run(options: Options, progress: Callable[[float], None] = lambda _: None) ->
     series = series_for(options)
     household = Household(capability=Capability(POWER_KW, dead_man=True))
     start, end = span(options, series, ZoneInfo(household.timezone))
-    with tempfile.TemporaryDirectory(prefix="plugd-demo-") as name:
-        ledger, store_folder = _simulate(options, Path(name), start, end, progress)
+    with _folder(options) as folder:
+        ledger, store_folder = _simulate(options, folder, start, end, progress)
         truth = read_ledger(ledger)
         with SqliteStore(store_folder) as store:
             records = store.records(start)
@@ -197,6 +199,24 @@ def run(options: Options, progress: Callable[[float], None] = lambda _: None) ->
         guarded=memory.guard_count if memory else 0,
         wall_s=time.monotonic() - began,
     )
+
+
+@contextmanager
+def _folder(options: Options) -> Iterator[Path]:
+    """Where the parts work. Raises UsageError for one to keep that holds something already."""
+    if options.keep is None:
+        with tempfile.TemporaryDirectory(prefix="plugd-demo-") as name:
+            yield Path(name)
+        return
+    folder = options.keep.absolute()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        empty = not any(folder.iterdir())
+    except OSError as error:
+        raise UsageError(f"--keep {folder}: cannot be used ({error.strerror})") from error
+    if not empty:
+        raise UsageError(f"--keep {folder}: is not empty; name a new folder")
+    yield folder
 
 
 def _endless(actual: Callable[[datetime], float], series: IntensitySeries) -> Callable[[datetime], float]:
@@ -361,6 +381,7 @@ def _parsed(arguments: Sequence[str] | None) -> Options:
     parser.add_argument("--plug", default="tasmota", choices=(*DIALECTS, CAN), help="which dialect the plug speaks")
     parser.add_argument("--soc", default="arrival", choices=("arrival", "never"), help="when the car tells its SOC")
     parser.add_argument("--json", action="store_true", help="one JSON document, and nothing else")
+    parser.add_argument("--keep", type=Path, metavar="DIR", help="keep the daemon's state there, for plugd report")
     asked = parser.parse_args(arguments)
     if not 1 <= asked.days <= MOST_DAYS:
         parser.error(f"--days {asked.days}: choose 1 to {MOST_DAYS}")
@@ -371,7 +392,7 @@ def _parsed(arguments: Sequence[str] | None) -> Options:
             start = require_utc(datetime.combine(date.fromisoformat(asked.start), clock_time(12), zone))
         except ValueError:
             parser.error(f"--from {asked.start}: write a date as 2023-01-02")
-    return Options(asked.days, start, asked.seed, asked.source, asked.plug, asked.soc, asked.json)
+    return Options(asked.days, start, asked.seed, asked.source, asked.plug, asked.soc, asked.json, asked.keep)
 
 
 @contextmanager
@@ -397,6 +418,8 @@ def _told(options: Options, outcome: Outcome, household: Household) -> None:
         console.print("The intensity is synthetic: a GB-like year of plugd's own making.", style="italic")
     console.print(table(outcome, household))
     console.print(summary(outcome))
+    if options.keep is not None:
+        console.print(f"Kept: plugd -c {options.keep / 'plugd.toml'} report --out report.html", soft_wrap=True)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
