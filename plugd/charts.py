@@ -118,7 +118,7 @@ def midnights(frame: Frame, zone: ZoneInfo) -> list[datetime]:
     return found
 
 
-def days(frame: Frame, zone: ZoneInfo, noons: bool = True) -> str:
+def days(frame: Frame, zone: ZoneInfo, noons: bool = True, names: bool = True) -> str:
     """Local midnights as lines, the weekdays named between them, and 6, 12 and 18 o'clock where there is room."""
     parts = []
     edges = [frame.start, *midnights(frame, zone), frame.end]
@@ -126,7 +126,7 @@ def days(frame: Frame, zone: ZoneInfo, noons: bool = True) -> str:
     for first, last in pairwise(edges):
         if first != frame.start:
             parts.append(rule(frame.x(first), frame.top, frame.x(first), frame.bottom, "day"))
-        if frame.x(last) - frame.x(first) >= min(40.0, 0.6 * room):
+        if names and frame.x(last) - frame.x(first) >= min(40.0, 0.6 * room):
             middle = (frame.x(first) + frame.x(last)) / 2
             local = first.astimezone(zone)
             name = f"{local:%a %-d}" if room < 60 else f"{local:%a %-d %b}"

@@ -19,7 +19,7 @@ from plugd.score import LeadScore, scores
 from plugd.sessions import to_utc
 from plugd.study.house import FunctionSource, House
 from plugd.study.world import Battery, Stay
-from plugd.units import HALF_HOUR, iso, slot_start, to_pct
+from plugd.units import HALF_HOUR, grams, iso, slot_start, to_pct
 
 HORIZONS = (1, 2, 4, 7)
 HISTORY = timedelta(days=56)
@@ -248,11 +248,6 @@ def table(report: Report) -> str:
     writer.writeheader()
     writer.writerows(rows)
     return out.getvalue()
-
-
-def grams(value: float) -> str:
-    """Grams for people: kg from a kilogram on."""
-    return f"{value / 1000:.1f} kg" if abs(value) >= 999.5 else f"{value:.0f} g"
 
 
 def headline(report: Report) -> str:

@@ -8,8 +8,8 @@ from importlib.resources import files
 from plugd import __version__
 from plugd.charts import Frame, box, ceiling, days, line, rule, scale, svg, text
 from plugd.ledger import LITTLE_KWH, Night, Sum
-from plugd.report import Report, grams, headline
-from plugd.units import HALF_HOUR, to_pct
+from plugd.report import Report, headline
+from plugd.units import HALF_HOUR, grams, to_pct
 
 WIDE, NARROW = 900.0, 400.0
 POLICY = "default-src 'none'; style-src 'unsafe-inline'"
