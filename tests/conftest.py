@@ -32,6 +32,12 @@ def find_chromium() -> Path | None:
     return Path(found) if found else None
 
 
+def find_chromedriver() -> Path | None:
+    """What drives the browser."""
+    found = shutil.which("chromedriver")
+    return Path(found) if found else None
+
+
 @dataclass(frozen=True, slots=True)
 class Component:
     """Something of the machine that some tests cannot do without."""
@@ -47,7 +53,11 @@ COMPONENTS = {
         lambda: find_mosquitto(os.environ.get("PATH", "")), "sudo apt install mosquitto", ("mosquitto",)
     ),
     "data": Component(find_data, "set PLUGD_DATA to the folder with neso_national_2023.csv", ("neso_data",)),
-    "chromium": Component(find_chromium, "sudo apt install chromium", ("chromium",)),
+    "chromium": Component(
+        lambda: find_chromium() if find_chromedriver() else None,
+        "sudo apt install chromium chromium-driver",
+        ("chromium", "chromedriver"),
+    ),
 }
 LEFT_OUT = pytest.StashKey[Counter[str]]()
 
@@ -124,3 +134,12 @@ def neso_data() -> Path:
 def chromium() -> Path:
     """The browser's program."""
     return _found("chromium")
+
+
+@pytest.fixture(scope="session")
+def chromedriver() -> Path:
+    """What drives it."""
+    found = find_chromedriver()
+    if found is None:
+        pytest.skip("needs chromium-driver")
+    return found

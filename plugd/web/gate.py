@@ -78,7 +78,8 @@ class Gate:
 def _name(host: str) -> str:
     """The name in a Host header, without its port and brackets."""
     if host.startswith("["):
-        return host[1:].partition("]")[0]
+        inside, closed, port = host[1:].partition("]")
+        return inside if closed and (not port or (port[0] == ":" and port[1:].isdigit())) else host
     name, _, port = host.rpartition(":")
     return (name if name and port.isdigit() else host).lower().rstrip(".")
 
