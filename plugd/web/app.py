@@ -61,12 +61,16 @@ class Page:
     _env: Environment = field(init=False)
     _scores: tuple[LeadScore, ...] = ()
     _scored_at: datetime | None = None
+    _scoring: asyncio.Task[None] | None = None
+    """Kept: the loop itself holds its tasks only weakly."""
     _drawn: tuple[int, dict[str, Any], dict[str, Any]] | None = None
 
     def __post_init__(self) -> None:
         self._env = Environment(
             loader=PackageLoader("plugd.web"), autoescape=True, undefined=StrictUndefined, auto_reload=False
         )
+        for template in self._env.list_templates():
+            self._env.get_template(template)  # compiled now, and not while somebody waits
         routes = [
             Route("/", self.whole),
             Route("/live", self.news),
@@ -82,7 +86,7 @@ class Page:
 
     async def whole(self, request: Request) -> Response:
         """The page."""
-        await self._score()
+        self._score()
         seen = self._seen()
         if seen is None:
             return self._html("wait.html", {})
@@ -96,7 +100,7 @@ class Page:
 
     async def news(self, request: Request) -> Response:
         """What has changed since a version; nothing where nothing has."""
-        await self._score()
+        self._score()
         seen = self._seen()
         if seen is None or request.query_params.get("v") == str(seen[0].version):
             return Response(status_code=204)
@@ -147,15 +151,19 @@ class Page:
             self._drawn = snapshot.version, state, live(snapshot, state, self._scores)
         return snapshot, *self._drawn[1:]
 
-    async def _score(self) -> None:
+    def _score(self) -> None:
+        """Have the forecasts scored now and then, beside everything else."""
         snapshot = self.desk.snapshot
         if snapshot is None:
             return
         now = snapshot.decision.at
-        if self._scored_at is not None and timedelta(0) <= now - self._scored_at < SCORED_AGAIN:
-            return
-        self._scored_at = now
+        if self._scored_at is None or not timedelta(0) <= now - self._scored_at < SCORED_AGAIN:
+            self._scored_at = now
+            self._scoring = asyncio.create_task(self._scored(now))
+
+    async def _scored(self, now: datetime) -> None:
         self._scores = await run_in_threadpool(self.score, now)
+        self._drawn = None
 
     # -- writing ----------------------------------------------------------------------------------
 

@@ -58,8 +58,20 @@ def test_the_page_says_what_is_done_and_why_and_draws_the_nights(served: Served)
     assert served.room.hub.decision is not None
     assert served.room.hub.decision.reason in page.text
     assert page.text.count("<svg") >= 2
-    for words in ("Every morning at least", "Ready by", "A trip", "What it saved", "0 to 6 h ahead"):
+    for words in ("Every morning at least", "Ready by", "A trip", "What it saved"):
         assert words in page.text
+
+
+def test_forecasts_are_scored_beside_everything_else(served: Served) -> None:
+    assert "<dd>12 g<small>8 %</small></dd>" in scored(served)
+
+
+def scored(served: Served) -> str:
+    """The page, once the scores are on it."""
+    until = time.perf_counter() + 10.0
+    while "0 to 6 h ahead" not in (text := served.get().text) and time.perf_counter() < until:
+        pass
+    return text
 
 
 def test_page_and_state_have_the_figures_of_the_ledger(served: Served) -> None:
@@ -345,6 +357,7 @@ def vandal() -> Iterator[Served]:
     """A page whose names a test may spoil."""
     page = Served()
     page.room.step()
+    scored(page)
     yield page
     page.close()
 
