@@ -46,6 +46,7 @@ class Desk:
     snapshot: Snapshot | None = None
     _asked: deque[tuple[str, Command, "Future[Answer]"]] = field(default_factory=deque)
     _taken: list[tuple[str, "Future[Answer]"]] = field(default_factory=list)
+    _answered: list[tuple["Future[Answer]", Answer]] = field(default_factory=list)
 
     @property
     def warnings(self) -> Sequence[Fault]:
@@ -75,14 +76,14 @@ class Desk:
         return found
 
     def answer(self, answers: Sequence[Answer]) -> None:
-        """Tell the hub, and whoever asked on the page."""
+        """Tell the hub; whoever asked on the page is told once there is something to see of it."""
         self.hub.answer(answers)
         left = list(answers)
         for name, future in reversed(self._taken):  # the page's commands came last
             found = next((answer for answer in reversed(left) if answer.command == name), None)
             if found is not None:
                 left.remove(found)
-            future.set_result(found or Answer(name, True, "done"))
+            self._answered.append((future, found or Answer(name, True, "done")))
         self._taken.clear()
 
     def publish(self, decision: Decision, reading: Reading | None) -> None:
@@ -91,6 +92,9 @@ class Desk:
         rows, nights = self.known()
         version = self.snapshot.version + 1 if self.snapshot else 1
         self.snapshot = Snapshot(version, self.monotonic(), decision, reading, self.household, rows, nights)
+        for future, answer in self._answered:
+            future.set_result(answer)
+        self._answered.clear()
 
 
 @dataclass(slots=True)
