@@ -64,6 +64,12 @@ def _battery(decision: Decision) -> Tile:
     )
 
 
+def _when(snapshot: Snapshot) -> str:
+    """Which night the last savings are of."""
+    end = snapshot.nights[-1].session_end if snapshot.nights else None
+    return "of it last night" if end is not None and end <= snapshot.decision.at else "of it tonight"
+
+
 def tiles(snapshot: Snapshot, state: dict[str, Any]) -> list[Tile]:
     """The figures at the top."""
     decision, zone = snapshot.decision, ZoneInfo(snapshot.household.timezone)
@@ -80,9 +86,7 @@ def tiles(snapshot: Snapshot, state: dict[str, Any]) -> list[Tile]:
     if state["intensity_g_per_kwh"] is not None:
         found.append(Tile("grid now", f"{state['intensity_g_per_kwh']:.0f} g", "CO2 per kWh"))
     if decision.saved is not None:
-        found.append(
-            Tile("saved", grams(decision.saved.total_g), f"{grams(decision.saved.today_g)} last night or tonight")
-        )
+        found.append(Tile("saved", grams(decision.saved.total_g), f"{grams(decision.saved.today_g)} {_when(snapshot)}"))
     return found
 
 

@@ -104,6 +104,7 @@ RUNS: dict[str, tuple[str, ...]] = {
     "other seed": ("--days", "1", "--seed", "1", "--json"),
     "amqtt": ("--days", "1", "--json"),
     "never": ("--days", "1", "--soc", "never", "--json"),
+    "kept": ("--days", "3", "--json", "--keep", "kept"),
 }
 
 
@@ -145,6 +146,27 @@ def outcome(ended: tuple[Run, int, str, str]) -> dict[str, Any]:
     document: dict[str, Any] = json.loads(out)
     assert document.pop("wall_s") > 0.0
     return document
+
+
+def test_the_report_on_a_kept_demo_agrees_with_the_plugs_own_ledger(runs: Runs) -> None:
+    """The stub plug wrote down what really flowed; plugd's ledger knows only what the meter told it."""
+    told = outcome(runs("kept"))
+    folder = runs("kept")[0].folder / "cwd" / "kept"
+    report = json.loads(
+        subprocess.run(
+            [sys.executable, "-m", "plugd", "-c", str(folder / "plugd.toml"), "report", "--json", "--horizons", "1"],
+            capture_output=True, check=True, text=True, env=environment(), timeout=LONGEST_S,
+        ).stdout
+    )  # fmt: skip
+    assert len(report["nights"]) == 3
+    assert report["total"]["kwh"] == pytest.approx(told["energy_kwh"], rel=0.01)
+    assert report["total"]["g_per_kwh"] == pytest.approx(told["carbon_g_per_kwh"], rel=0.05)
+    assert report["total"]["switch_ons"] == sum(night["switch_ons"] for night in told["nights"])
+    assert report["total"]["missed_mornings"] == told["missed_mornings"]
+    for ours, theirs in zip(report["nights"], told["nights"], strict=True):
+        assert ours["night"] == theirs["date"]
+        assert ours["kwh"] == pytest.approx(theirs["charged_kwh"], abs=0.05)
+        assert ours["morning_soc_pct"] == pytest.approx(theirs["morning_soc_pct"], abs=2.0)
 
 
 def test_the_same_seed_gives_the_same_document(runs: Runs) -> None:
