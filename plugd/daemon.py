@@ -4,18 +4,15 @@ import logging
 import os
 import random
 import signal
-import socket
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
-from datetime import datetime, timedelta
-from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from types import FrameType
 
 from plugd import perception
-from plugd.adapters.hub import MqttHub, Topics, state
+from plugd.adapters.hub import MqttHub, Topics
 from plugd.adapters.mqtt import Broker, MqttConnection
 from plugd.adapters.neso import Neso
 from plugd.adapters.openevse import OpenEvse, whole_amps
@@ -26,15 +23,14 @@ from plugd.adapters.switched import SwitchedPlug
 from plugd.adapters.tasmota import Tasmota
 from plugd.book import Book
 from plugd.config import Config, household
-from plugd.config import token as secret_token
 from plugd.config.sections import MODULATING
 from plugd.controller import Controller
 from plugd.cycle import Cycle
 from plugd.domain import Capability, Decision, Forecast, Memory
-from plugd.errors import ConfigError, PlugdError, StoreError
+from plugd.errors import ConfigError, StoreError
+from plugd.page import opened_page
 from plugd.planner.qp import Qp
-from plugd.ports import Clock, Inbox, Plug, Tended
-from plugd.score import LeadScore, scores
+from plugd.ports import Clock, Plug, Tended
 from plugd.units import kw_of
 
 BROKER_PATIENCE_S = 10.0
@@ -150,63 +146,6 @@ def cycle_for(config: Config, clock: Clock, connection: MqttConnection, store: S
     )
 
 
-WEB_EXTRA = ("jinja2", "prometheus_client", "starlette", "uvicorn")
-SCORED = timedelta(days=7)
-"""How far back the page looks to say how good forecasts were."""
-
-
-@contextmanager
-def _page(config: Config, clock: Clock, cycle: Cycle, connection: MqttConnection) -> Iterator[Inbox]:
-    """The page beside the cycle, and where to wait for messages of both. A page that cannot be is only said."""
-    web, book = config.web, cycle.book
-    if not web.enabled or book is None:
-        yield connection
-        return
-    if any(find_spec(name) is None for name in WEB_EXTRA):
-        log.info("there is no page: pip install 'plugd[web]' brings it, web.enabled = false ends this line")
-        yield connection
-        return
-    # Only with a page: what it stands on is a third of the daemon's memory.
-    from plugd.web.app import Page
-    from plugd.web.desk import Desk, Letterbox
-    from plugd.web.server import Server
-
-    desk = Desk(cycle.hub, cycle.controller.household, book.known, clock.monotonic)
-    token, host = secret_token(config), socket.gethostname().lower()
-    page = Page(
-        name=config.name,
-        desk=desk,
-        state=state,
-        monotonic=clock.monotonic,
-        wake=connection.wake,
-        names=frozenset({"localhost", host, f"{host}.local", *(name.lower() for name in web.hosts)}),
-        token=token.get_secret_value() if token else None,
-        score=partial(_scored, state_folder(config)),
-    )
-    try:
-        server = Server(page, web.bind)
-    except PlugdError as error:
-        log.warning("there is no page: %s", error)
-        yield connection
-        return
-    cycle.hub = desk
-    server.start()
-    try:
-        yield Letterbox(connection, desk)
-    finally:
-        server.close()
-
-
-def _scored(folder: Path, now: datetime) -> tuple[LeadScore, ...]:
-    """How good the forecasts of the last week were, through a connection of its own."""
-    try:
-        with SqliteStore(folder, hold=False) as store:
-            return scores(store.forecasts(now - SCORED), store.measured(now - SCORED))
-    except StoreError as error:
-        log.warning("forecasts are not scored: %s", error)
-        return ()
-
-
 def state_folder(config: Config) -> Path:
     """Where the daemon keeps its state: systemd's folder for it, else the configured one."""
     return Path(os.environ.get("STATE_DIRECTORY") or config.state.dir)
@@ -293,7 +232,7 @@ def run(config: Config, clock: Clock) -> None:
         connection.wait_connected(BROKER_PATIENCE_S)
         log.info("plugd runs for %s on %s:%s", config.name, config.broker.host, config.broker.port)
         hub = cycle.hub
-        inbox = left.enter_context(_page(config, clock, cycle, connection))
+        inbox = left.enter_context(opened_page(config, state_folder(config), (clock, cycle, connection)))
         journal = Journal()
         while not stop.asked:
             due = cycle.step()

@@ -73,9 +73,10 @@ def night_of(moment: datetime, household: Household) -> date:
 def usual_arrival(night: date, household: Household) -> datetime:
     """When the car usually comes home for a night."""
     zone = ZoneInfo(household.timezone)
-    days = (night, night + timedelta(days=1))
-    usual, next_day = (to_utc(day, household.nights.plug_in, zone) for day in days)
-    return usual if night_of(usual, household) == night else next_day
+    usual = to_utc(night, household.nights.plug_in, zone)
+    if night_of(usual, household) == night:
+        return usual
+    return to_utc(night + timedelta(days=1), household.nights.plug_in, zone)
 
 
 def opened(start: datetime, memory: Memory, household: Household, g_per_kwh: float) -> HalfHour:

@@ -19,7 +19,7 @@ from plugd.score import LeadScore, scores
 from plugd.sessions import to_utc
 from plugd.study.house import FunctionSource, House
 from plugd.study.world import Battery, Stay
-from plugd.units import HALF_HOUR, grams, iso, slot_start, to_pct
+from plugd.units import HALF_HOUR, grams, iso, rounded, slot_start, to_pct
 
 HORIZONS = (1, 2, 4, 7)
 HISTORY = timedelta(days=56)
@@ -166,10 +166,6 @@ def _stays(rows: tuple[HalfHour, ...], nights: Sequence[Night], home: Household)
 # -- in words and numbers -------------------------------------------------------------------------
 
 
-def _rounded(value: float | None, digits: int = 1) -> float | None:
-    return None if value is None else round(value, digits)
-
-
 def night_row(night: Night) -> dict[str, object]:
     """One night, for programs."""
     return {
@@ -199,10 +195,10 @@ def _sum_row(part: Sum) -> dict[str, object]:
         "on_arrival_g": round(part.on_arrival_g, 1),
         "best_g": round(part.best_g, 1),
         "saved_g": round(part.saved_g, 1),
-        "saved_pct": _rounded(part.saved_pct),
-        "g_per_kwh": _rounded(part.per_kwh(part.carbon_g), 2),
-        "on_arrival_g_per_kwh": _rounded(part.per_kwh(part.on_arrival_g), 2),
-        "best_g_per_kwh": _rounded(part.per_kwh(part.best_g), 2),
+        "saved_pct": rounded(part.saved_pct, 1),
+        "g_per_kwh": rounded(part.per_kwh(part.carbon_g), 2),
+        "on_arrival_g_per_kwh": rounded(part.per_kwh(part.on_arrival_g), 2),
+        "best_g_per_kwh": rounded(part.per_kwh(part.best_g), 2),
         "switch_ons": part.switch_ons,
         "missed_mornings": part.missed,
     }
@@ -221,7 +217,7 @@ def document(report: Report) -> dict[str, object]:
             {
                 "horizon": replay.horizon,
                 "kwh": round(replay.kwh, 3),
-                "g_per_kwh": _rounded(replay.g_per_kwh, 2),
+                "g_per_kwh": rounded(replay.g_per_kwh, 2),
                 "missed_mornings": replay.missed,
             }
             for replay in report.replays

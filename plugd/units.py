@@ -109,3 +109,8 @@ def iso(moment: datetime) -> str:
 def grams(value: float) -> str:
     """Grams for people: kg from a kilogram on."""
     return f"{value / 1000:.1f} kg" if abs(value) >= 999.5 else f"{value:.0f} g"
+
+
+def rounded(value: float | None, digits: int) -> float | None:
+    """Rounded for people; None stays None."""
+    return None if value is None else round(value, digits)

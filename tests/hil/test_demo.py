@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ import pytest
 from plugd.study.world import Stay
 from plugd_hil import broker as brokers
 from plugd_hil import demo
-from plugd_hil.account import Night
+from plugd_hil.account import Night, read_ledger
 from plugd_hil.broker import Amqtt, Mosquitto, any_broker
 from plugd_hil.conductor import Conductor, Line
 from tests.conftest import find_data
@@ -161,7 +162,8 @@ def test_the_report_on_a_kept_demo_agrees_with_the_plugs_own_ledger(runs: Runs) 
     assert len(report["nights"]) == 3
     assert report["total"]["kwh"] == pytest.approx(told["energy_kwh"], rel=0.01)
     assert report["total"]["g_per_kwh"] == pytest.approx(told["carbon_g_per_kwh"], rel=0.05)
-    assert report["total"]["switch_ons"] == sum(night["switch_ons"] for night in told["nights"])
+    lines = read_ledger(folder / "ledger.jsonl")
+    assert report["total"]["switch_ons"] == sum(b.on and not a.on for a, b in pairwise(lines))
     assert report["total"]["missed_mornings"] == told["missed_mornings"]
     for ours, theirs in zip(report["nights"], told["nights"], strict=True):
         assert ours["night"] == theirs["date"]
@@ -385,7 +387,7 @@ TALKING = """
 import sys
 from contextlib import contextmanager
 from plugd_hil import demo
-from plugd_hil.account import Night
+from plugd_hil.account import Night, read_ledger
 said = []
 
 @contextmanager

@@ -9,12 +9,13 @@ from dataclasses import replace
 from datetime import date, timedelta
 from html.parser import HTMLParser
 from importlib.resources import files
+from pathlib import Path
 from statistics import median
 
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from plugd import daemon
+from plugd import page as opening
 from plugd.adapters.hub import state
 from plugd.config import parse
 from plugd.domain import Fault, Mode
@@ -456,11 +457,12 @@ def test_half_open_connections_are_bounded(served: Served) -> None:
 def test_without_the_extra_there_is_one_line_and_no_page(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, served: Served
 ) -> None:
-    monkeypatch.setattr(daemon, "find_spec", lambda name: None if name == "uvicorn" else object())
+    monkeypatch.setattr(opening, "find_spec", lambda name: None if name == "uvicorn" else object())
     before: Hub = served.room.cycle.hub
     line = NoLine()
     caplog.set_level("INFO", "plugd")
-    with daemon._page(parse('[plug]\ntopic = "p"'), served.room.clock, served.room.cycle, line) as inbox:  # type: ignore[arg-type]
+    parts = (served.room.clock, served.room.cycle, line)
+    with opening.opened_page(parse('[plug]\ntopic = "p"'), Path(), parts) as inbox:
         found: Inbox = inbox
         assert found is line
     assert served.room.cycle.hub is before
@@ -470,6 +472,6 @@ def test_without_the_extra_there_is_one_line_and_no_page(
 def test_an_address_that_is_taken_costs_the_page_only(caplog: pytest.LogCaptureFixture, served: Served) -> None:
     line = NoLine()
     config = parse(f'[plug]\ntopic = "p"\n[web]\nbind = "{served.host}"')
-    with daemon._page(config, served.room.clock, served.room.cycle, line) as inbox:  # type: ignore[arg-type]
+    with opening.opened_page(config, Path(), (served.room.clock, served.room.cycle, line)) as inbox:
         assert inbox is line
     assert "set web.bind to a free address" in caplog.text
