@@ -57,9 +57,6 @@ class HalfHour:
         return self.g_per_kwh if self.final_g_per_kwh is None else self.final_g_per_kwh
 
 
-# -- booking --------------------------------------------------------------------------------------
-
-
 def night_of(moment: datetime, household: Household) -> date:
     """The local day on which the night of a moment began. Nights meet in the middle of the time away."""
     nights = household.nights
@@ -252,9 +249,6 @@ def _soc_at(rows: tuple[HalfHour, ...], moment: datetime) -> float:
             share = (moment - before.start) / (after.start - before.start)
             return before.soc + share * (after.soc - before.soc)
     return rows[-1].soc if moment >= rows[-1].start else rows[0].soc
-
-
-# -- sums -----------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)

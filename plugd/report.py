@@ -101,9 +101,6 @@ def gathered(
     )
 
 
-# -- other horizons -------------------------------------------------------------------------------
-
-
 def _replay(
     horizon: int,
     home: Household,
