@@ -232,7 +232,7 @@ def run(config: Config, clock: Clock) -> None:
         connection.wait_connected(BROKER_PATIENCE_S)
         log.info("plugd runs for %s on %s:%s", config.name, config.broker.host, config.broker.port)
         hub = cycle.hub
-        inbox = left.enter_context(opened_page(config, state_folder(config), (clock, cycle, connection)))
+        inbox = left.enter_context(opened_page(config, state_folder(config), cycle, connection))
         journal = Journal()
         while not stop.asked:
             due = cycle.step()

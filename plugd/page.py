@@ -15,7 +15,7 @@ from plugd.config import Config
 from plugd.config import token as secret_token
 from plugd.cycle import Cycle
 from plugd.errors import PlugdError, StoreError
-from plugd.ports import Clock, Inbox
+from plugd.ports import Inbox
 from plugd.score import LeadScore, scores
 
 log = logging.getLogger("plugd")
@@ -26,10 +26,9 @@ SCORED = timedelta(days=7)
 
 
 @contextmanager
-def opened_page(config: Config, folder: Path, parts: tuple[Clock, Cycle, Inbox]) -> Iterator[Inbox]:
+def opened_page(config: Config, folder: Path, cycle: Cycle, connection: Inbox) -> Iterator[Inbox]:
     """The page beside the cycle, and where to wait for messages of both. A page that cannot be is only said."""
-    clock, cycle, connection = parts
-    web, book = config.web, cycle.book
+    clock, web, book = cycle.clock, config.web, cycle.book
     if not web.enabled or book is None:
         yield connection
         return

@@ -59,7 +59,9 @@ COMPONENTS = {
         ("chromium", "chromedriver"),
     ),
 }
-LEFT_OUT = pytest.StashKey[Counter[str]]()
+MISSING = pytest.StashKey[list[str]]()
+NEEDS = "needs "
+"""What the reason of a test that is left out begins with."""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -72,7 +74,7 @@ def pytest_configure(config: pytest.Config) -> None:
     # A shell that runs us in the background has our children ignore Ctrl-C, which some tests send.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     missing = {name for name, component in COMPONENTS.items() if component.find() is None}
-    config.stash[LEFT_OUT] = Counter(dict.fromkeys(sorted(missing), 0))
+    config.stash[MISSING] = sorted(missing)
     for name in filter(None, (n.strip() for n in os.environ.get("PLUGD_REQUIRE", "").split(","))):
         if name not in COMPONENTS:
             raise pytest.UsageError(f"PLUGD_REQUIRE: unknown component {name}; known: {', '.join(COMPONENTS)}")
@@ -91,27 +93,30 @@ def _needs(item: pytest.Item) -> set[str]:
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Marks what this machine cannot run, and counts it."""
-    left_out = config.stash[LEFT_OUT]
+    """Marks what this machine cannot run."""
     for item in items:
-        if missing := sorted(_needs(item) & left_out.keys()):
-            left_out.update(missing)
-            item.add_marker(pytest.mark.skip(reason=f"needs {', '.join(missing)}"))
+        needs = _needs(item)
+        if missing := [name for name in config.stash[MISSING] if name in needs]:
+            item.add_marker(pytest.mark.skip(reason=NEEDS + ", ".join(missing)))
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
     """Says last what was left out, and how to have it next time."""
-    left_out = config.stash[LEFT_OUT]
-    if left_out:
+    missing = config.stash[MISSING]
+    if missing:
         terminalreporter.section("left out")
-    for name, tests in left_out.items():
+    # From the reports, as the tests may have run in other processes.
+    reasons = [report.longrepr[2] for report in terminalreporter.stats.get("skipped", [])]
+    left_out = Counter(name for reason in reasons if NEEDS in reason for name in reason.partition(NEEDS)[2].split(", "))
+    for name in missing:
+        tests = left_out[name]
         terminalreporter.line(f"{name}: {tests} test{'' if tests == 1 else 's'}; {COMPONENTS[name].remedy}")
 
 
 def _found(name: str) -> Path:
     found = COMPONENTS[name].find()
     if found is None:
-        pytest.skip(f"needs {name}")
+        pytest.skip(NEEDS + name)
     return found
 
 

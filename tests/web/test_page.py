@@ -461,8 +461,7 @@ def test_without_the_extra_there_is_one_line_and_no_page(
     before: Hub = served.room.cycle.hub
     line = NoLine()
     caplog.set_level("INFO", "plugd")
-    parts = (served.room.clock, served.room.cycle, line)
-    with opening.opened_page(parse('[plug]\ntopic = "p"'), Path(), parts) as inbox:
+    with opening.opened_page(parse('[plug]\ntopic = "p"'), Path(), served.room.cycle, line) as inbox:
         found: Inbox = inbox
         assert found is line
     assert served.room.cycle.hub is before
@@ -472,6 +471,6 @@ def test_without_the_extra_there_is_one_line_and_no_page(
 def test_an_address_that_is_taken_costs_the_page_only(caplog: pytest.LogCaptureFixture, served: Served) -> None:
     line = NoLine()
     config = parse(f'[plug]\ntopic = "p"\n[web]\nbind = "{served.host}"')
-    with opening.opened_page(config, Path(), (served.room.clock, served.room.cycle, line)) as inbox:
+    with opening.opened_page(config, Path(), served.room.cycle, line) as inbox:
         assert inbox is line
     assert "set web.bind to a free address" in caplog.text
