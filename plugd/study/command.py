@@ -1,28 +1,21 @@
 """`plugd study ...`: arguments to runs, runs to numbers on stdout and in `--out`."""
 
 import argparse
-import csv
-import json
-import os
-import sys
 import time
 from collections.abc import Iterable, Sequence
-from functools import partial
 from pathlib import Path
 from statistics import fmean
 from typing import Any
 
-from plugd.errors import PlugdError, UsageError
-from plugd.study import measured, table
-from plugd.study.engine import Account
+from plugd.errors import UsageError
+from plugd.study import backtest, issued, measured, table
 from plugd.study.forecasts import PAPER_GROWTH, Noise
 from plugd.study.growth import growth_per_half_hour
-from plugd.study.runs import Failure, Run, perform, pool
 from plugd.study.table import Choice, Terms
+from plugd.study.telling import code, day, performed, positive, shared, since, tell
 
 NAMED = ("uncontrolled", "latest-start", "cheapest-tonight")
 MAX_HORIZON = 7
-BAR = 30
 
 
 def main(parser: argparse.ArgumentParser, arguments: Sequence[str]) -> int:
@@ -41,6 +34,14 @@ def _arguments(parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
     all_regions = experiments.add_parser("regions", help="the same in every region of a file (the paper's Figure 5)")
     _common(all_regions, strategies="uncontrolled,1,2,4", noise=Noise.NONE, end_value="off", seeds=5)
     all_regions.set_defaults(does=_regions)
+    past = experiments.add_parser("backtest", help="what is captured with forecasts as they were really issued")
+    past.add_argument("--data", type=Path, nargs="+", required=True, metavar="FILE",
+                      help="one zone each: issued,lead_h,forecast,actual, as .csv or .csv.gz")  # fmt: skip
+    past.add_argument("--horizons", type=_horizons, default=(1, 2, 3, 4), metavar="LIST", help="default 1,2,3,4")
+    past.add_argument("--from", dest="since", type=day, metavar="DATE", help="default: the first noon of each file")
+    past.add_argument("--to", dest="until", type=day, metavar="DATE", help="default: the end of each file")
+    shared(past)
+    past.set_defaults(does=_backtest)
     return parser
 
 
@@ -57,10 +58,8 @@ def _common(parser: argparse.ArgumentParser, *, strategies: str, noise: Noise, e
     add("--end-value", choices=("on", "off"), default=end_value,
         help=f"whether energy left at the horizon's end is worth something (default {end_value})")  # fmt: skip
     add("--solver", choices=("exact", "osqp"), default="exact")
-    add("--seeds", type=_positive, default=seeds, metavar="N", help=f"default {seeds}")
-    add("--workers", type=_positive, default=min(2, os.cpu_count() or 1), metavar="N", help="processes")
-    add("--json", action="store_true", help="one JSON document")
-    add("--out", type=Path, metavar="DIR", help="also write the numbers there, as CSV and JSON")
+    add("--seeds", type=positive, default=seeds, metavar="N", help=f"default {seeds}")
+    shared(parser)
 
 
 def _strategies(text: str) -> tuple[Choice, ...]:
@@ -77,10 +76,12 @@ def _strategies(text: str) -> tuple[Choice, ...]:
     return tuple(chosen)
 
 
-def _positive(text: str) -> int:
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number above 0")
-    return int(text)
+def _horizons(text: str) -> tuple[int, ...]:
+    """Numbers of nights, as `--strategies` takes them."""
+    horizons = tuple(choice.horizon for choice in _strategies(text) if choice.horizon is not None)
+    if len(horizons) < len(text.split(",")):
+        raise argparse.ArgumentTypeError(f"{text!r} is no list of 1 to {MAX_HORIZON} nights")
+    return tuple(dict.fromkeys(horizons))
 
 
 def _terms(options: argparse.Namespace) -> Terms:
@@ -93,10 +94,10 @@ def _table(options: argparse.Namespace) -> int:
     found = measured.load(options.actual, options.error_from)
     _check_errors(options, [found])
     runs = table.runs(found, *measured.span(found, options.year), options.strategies, _terms(options))
-    outcomes = performed(runs, options.workers)
+    outcomes = performed(runs, options)
     rows = table.tabulated(runs, outcomes)
-    _tell(options, "table", {**table.document(rows), "wall_s": _since(began)}, table.lines(rows))
-    return _code(outcomes)
+    tell(options, "table", {**table.document(rows), "wall_s": since(began)}, table.lines(rows))
+    return code(outcomes)
 
 
 def _regions(options: argparse.Namespace) -> int:
@@ -108,7 +109,7 @@ def _regions(options: argparse.Namespace) -> int:
         region: table.runs(found, *measured.span(found, None), options.strategies, terms)
         for region, found in regions.items()
     }
-    outcomes = performed([run for runs in lists.values() for run in runs], options.workers)
+    outcomes = performed([run for runs in lists.values() for run in runs], options)
     left, document, shown = iter(outcomes), _empty(), []
     every: dict[Choice, list[float]] = {}
     for region, runs in lists.items():
@@ -131,8 +132,8 @@ def _regions(options: argparse.Namespace) -> int:
     shown += [
         f"{table.name(choice)}: mean of {len(cuts)} regions {fmean(cuts):.2f} %" for choice, cuts in every.items()
     ]
-    _tell(options, "regions", {**document, "means": means, "wall_s": _since(began)}, shown)
-    return _code(outcomes)
+    tell(options, "regions", {**document, "means": means, "wall_s": since(began)}, shown)
+    return code(outcomes)
 
 
 def _empty() -> dict[str, list[dict[str, Any]]]:
@@ -148,57 +149,16 @@ def _check_errors(options: argparse.Namespace, found: Iterable[measured.Measured
         )
 
 
-def performed(runs: Sequence[Run], workers: int) -> list[Account | Failure]:
-    """All runs on a process pool, with a bar on stderr where somebody looks; failures are told there."""
-    outcomes = perform(runs, partial(pool, min(workers, len(runs))), _bar if sys.stderr.isatty() else _silent)
-    for outcome in outcomes:
-        if isinstance(outcome, Failure):
-            print(f"plugd: {outcome}", file=sys.stderr)
-    return outcomes
-
-
-def _bar(done: int, of: int) -> None:
-    full = BAR * done // max(1, of)
-    print(
-        f"\r[{'#' * full}{'.' * (BAR - full)}] {done} of {of} runs",
-        end="" if done < of else "\n",
-        file=sys.stderr,
-        flush=True,
-    )
-
-
-def _silent(done: int, of: int) -> None:
-    """Nobody looks."""
-
-
-def _code(outcomes: Sequence[Account | Failure]) -> int:
-    return int(any(isinstance(outcome, Failure) for outcome in outcomes))
-
-
-def _since(began: float) -> float:
-    return round(time.perf_counter() - began, 2)
-
-
-def _tell(options: argparse.Namespace, name: str, document: dict[str, Any], shown: Sequence[str]) -> None:
-    """Numbers to stdout, and to files where asked."""
-    if options.out is not None:
-        written(options.out, name, document)
-    if options.json:
-        print(json.dumps(document, allow_nan=False))
-        return
-    for line in shown:
-        print(line)
-
-
-def written(folder: Path, name: str, document: dict[str, Any]) -> None:
-    """`name`.json with all of a document, `name`.csv with its rows. Raises PlugdError."""
-    rows: list[dict[str, Any]] = [*document["rows"], *({"strategy": "perfect", **row} for row in document["perfect"])]
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / f"{name}.json").write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
-        with (folder / f"{name}.csv").open("w", newline="") as file:
-            writer = csv.DictWriter(file, list(dict.fromkeys(key for row in rows for key in row)))
-            writer.writeheader()
-            writer.writerows(rows)
-    except OSError as error:
-        raise PlugdError(f"--out {folder}: cannot be written ({error.strerror}); name another folder") from error
+def _backtest(options: argparse.Namespace) -> int:
+    began = time.perf_counter()
+    lists = {}
+    for path in options.data:
+        issues = issued.load(path)
+        lists[str(path)] = backtest.runs(
+            issues, *measured.between(issues.found, options.since, options.until), options.horizons
+        )
+    outcomes = performed([run for runs in lists.values() for run in runs], options)
+    left = iter(outcomes)
+    found = backtest.document({name: [(run, next(left)) for run in runs] for name, runs in lists.items()})
+    tell(options, "backtest", {**found, "wall_s": since(began)}, backtest.lines(found), backtest.table(found))
+    return code(outcomes)
