@@ -347,7 +347,10 @@ def test_ci_fails_with_what_it_runs(tmp_path: Path) -> None:
 
     good = ci("")
     assert good.returncode == 0
-    assert "test needs mosquitto,data\ncheck needs mosquitto,data\nweeks needs mosquitto,data" in good.stdout
+    assert (
+        "test needs mosquitto,data,dask\ncheck needs mosquitto,data,dask\nweeks needs mosquitto,data,dask"
+        in good.stdout
+    )
     assert ci("test").returncode != 0
     assert ci("weeks").returncode != 0
     assert ci("check").returncode != 0
