@@ -8,14 +8,13 @@ from statistics import fmean
 from typing import Any
 
 from plugd.errors import UsageError
-from plugd.study import backtest, issued, measured, table
+from plugd.study import backtest, drawing, experiments, issued, measured, table
 from plugd.study.forecasts import PAPER_GROWTH, Noise
 from plugd.study.growth import growth_per_half_hour
 from plugd.study.table import Choice, Terms
-from plugd.study.telling import code, day, performed, positive, shared, since, tell
+from plugd.study.telling import MAX_HORIZON, code, day, horizons, performed, positive, shared, since, tell
 
 NAMED = ("uncontrolled", "latest-start", "cheapest-tonight")
-MAX_HORIZON = 7
 
 
 def main(parser: argparse.ArgumentParser, arguments: Sequence[str]) -> int:
@@ -26,22 +25,23 @@ def main(parser: argparse.ArgumentParser, arguments: Sequence[str]) -> int:
 
 
 def _arguments(parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
-    experiments = parser.add_subparsers(dest="experiment", required=True, metavar="EXPERIMENT")
-    one = experiments.add_parser("table", help="carbon and reduction by strategy over a year (the paper's Table I)")
+    parsers = parser.add_subparsers(dest="experiment", required=True, metavar="EXPERIMENT")
+    one = parsers.add_parser("table", help="carbon and reduction by strategy over a year (the paper's Table I)")
     one.add_argument("--year", type=int, metavar="YYYY", help="one year of the file; default: all of it")
     _common(one, strategies="uncontrolled,1,2,4,7", noise=Noise.TARGET, end_value="on", seeds=5)
     one.set_defaults(does=_table)
-    all_regions = experiments.add_parser("regions", help="the same in every region of a file (the paper's Figure 5)")
+    all_regions = parsers.add_parser("regions", help="the same in every region of a file (the paper's Figure 5)")
     _common(all_regions, strategies="uncontrolled,1,2,4", noise=Noise.NONE, end_value="off", seeds=5)
     all_regions.set_defaults(does=_regions)
-    past = experiments.add_parser("backtest", help="what is captured with forecasts as they were really issued")
+    past = parsers.add_parser("backtest", help="what is captured with forecasts as they were really issued")
     past.add_argument("--data", type=Path, nargs="+", required=True, metavar="FILE",
                       help="one zone each: issued,lead_h,forecast,actual, as .csv or .csv.gz")  # fmt: skip
-    past.add_argument("--horizons", type=_horizons, default=(1, 2, 3, 4), metavar="LIST", help="default 1,2,3,4")
+    past.add_argument("--horizons", type=horizons, default=(1, 2, 3, 4), metavar="LIST", help="default 1,2,3,4")
     past.add_argument("--from", dest="since", type=day, metavar="DATE", help="default: the first noon of each file")
     past.add_argument("--to", dest="until", type=day, metavar="DATE", help="default: the end of each file")
     shared(past)
     past.set_defaults(does=_backtest)
+    experiments.add(parsers)
     return parser
 
 
@@ -76,14 +76,6 @@ def _strategies(text: str) -> tuple[Choice, ...]:
     return tuple(chosen)
 
 
-def _horizons(text: str) -> tuple[int, ...]:
-    """Numbers of nights, as `--strategies` takes them."""
-    horizons = tuple(choice.horizon for choice in _strategies(text) if choice.horizon is not None)
-    if len(horizons) < len(text.split(",")):
-        raise argparse.ArgumentTypeError(f"{text!r} is no list of 1 to {MAX_HORIZON} nights")
-    return tuple(dict.fromkeys(horizons))
-
-
 def _terms(options: argparse.Namespace) -> Terms:
     growth = growth_per_half_hour(options.growth_from) if options.growth_from else PAPER_GROWTH
     return Terms(Noise(options.noise), options.end_value == "on", options.solver, options.seeds, growth)
@@ -96,7 +88,10 @@ def _table(options: argparse.Namespace) -> int:
     runs = table.runs(found, *measured.span(found, options.year), options.strategies, _terms(options))
     outcomes = performed(runs, options)
     rows = table.tabulated(runs, outcomes)
-    tell(options, "table", {**table.document(rows), "wall_s": since(began)}, table.lines(rows))
+    document = table.document(rows)
+    if options.out is not None:
+        drawing.reductions(options.out, document["rows"], document["perfect"])
+    tell(options, "table", {**document, "wall_s": since(began)}, table.lines(rows))
     return code(outcomes)
 
 
@@ -132,6 +127,8 @@ def _regions(options: argparse.Namespace) -> int:
     shown += [
         f"{table.name(choice)}: mean of {len(cuts)} regions {fmean(cuts):.2f} %" for choice, cuts in every.items()
     ]
+    if options.out is not None:
+        drawing.regions(options.out, document["rows"])
     tell(options, "regions", {**document, "means": means, "wall_s": since(began)}, shown)
     return code(outcomes)
 

@@ -18,6 +18,8 @@ from plugd.study.engine import Account
 from plugd.study.runs import Failure, Run, perform, pool
 
 BAR = 30
+MAX_HORIZON = 7
+"""Nights that can be planned together."""
 
 
 def shared(parser: argparse.ArgumentParser, written: str = "the numbers, as CSV and JSON") -> None:
@@ -39,6 +41,14 @@ def positive(text: str) -> int:
     if not text.isdecimal() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number above 0")
     return int(text)
+
+
+def horizons(text: str) -> tuple[int, ...]:
+    """A list of numbers of nights."""
+    words = [word.strip() for word in text.split(",")]
+    if bad := [word for word in words if not (word.isdecimal() and 1 <= int(word) <= MAX_HORIZON)]:
+        raise argparse.ArgumentTypeError(f"{bad[0]!r} is not 1 to {MAX_HORIZON} nights")
+    return tuple(dict.fromkeys(map(int, words)))
 
 
 def day(text: str) -> date:
