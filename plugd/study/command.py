@@ -38,7 +38,9 @@ def _arguments(parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
                       help="one zone each: issued,lead_h,forecast,actual, as .csv or .csv.gz")  # fmt: skip
     past.add_argument("--horizons", type=horizons, default=(1, 2, 3, 4), metavar="LIST", help="default 1,2,3,4")
     past.add_argument("--from", dest="since", type=day, metavar="DATE", help="default: the first noon of each file")
-    past.add_argument("--to", dest="until", type=day, metavar="DATE", help="default: the end of each file")
+    past.add_argument(
+        "--to", dest="until", type=day, metavar="DATE", help="not included; default: the end of each file"
+    )
     shared(past)
     past.set_defaults(does=_backtest)
     experiments.add(parsers)

@@ -30,10 +30,11 @@ STYLE: Any = {
     "font.family": "DejaVu Sans",
     "font.size": 7,
     "legend.fontsize": 6.5,
+    "legend.title_fontsize": 6.5,
     "legend.frameon": False,
     "legend.handlelength": 2.2,
     "lines.linewidth": 1.1,
-    "savefig.dpi": 220,
+    "savefig.dpi": 200,
     "svg.hashsalt": "plugd",
     "xtick.labelsize": 6.5,
     "xtick.major.width": 0.6,
@@ -157,7 +158,7 @@ def flexibility(folder: Path, rows: Sequence[dict[str, Any]]) -> None:
                     marker=mark,
                     markersize=2.6,
                     color=colour,
-                    label=f"{use_kwh:g} kWh a day",
+                    label=f"{use_kwh:g}",
                 )
             above.set_title(f"{stay.capitalize()} charging", fontsize=7.5)
             middle = 1.0 if stay == "overnight" else 13.0
@@ -169,9 +170,9 @@ def flexibility(folder: Path, rows: Sequence[dict[str, Any]]) -> None:
                 axes.spines.right.set_visible(False)
         grid[0][0].set_ylabel("Charged at (gCO$_2$/kWh)")
         grid[1][0].set_ylabel("Plugged in\n(hour of day)")
-        grid[1][0].set_yticks(range(-6, 25, 6), ["18", "0", "6", "12", "18", "24"])
+        grid[1][0].set_yticks(range(-6, 25, 6), ["18", "0", "6", "12", "18", "0"])
         handles, names = grid[0][0].get_legend_handles_labels()
-        drawn.legend(handles, names, loc="outside upper center", ncols=4, columnspacing=0.8, handlelength=1.9)
+        drawn.legend(handles, names, title="Daily use (kWh)", loc="outside upper center", ncols=4)
 
 
 def regions(folder: Path, rows: Sequence[dict[str, Any]]) -> None:
@@ -279,4 +280,4 @@ def crowd(folder: Path, rows: Sequence[dict[str, Any]]) -> None:
         axes.set_xlabel("Cars that plan with the same forecast (millions)")
         axes.set_ylabel("Less than uncontrolled (%)")
         axes.spines.right.set_visible(False)
-        axes.legend(title="Random delay", title_fontsize=6.5, loc="best")
+        axes.legend(title="Random delay", loc="best")
