@@ -181,7 +181,10 @@ def _rounded(value: float | None, digits: int) -> float | None:
     return None if value is None else round(value, digits)
 
 
-HEADINGS = ("strategy", "g/kWh", "sd", "reduction %", "kWh", "mornings", "missed", "switch-ons")
+HEADINGS = (
+    "strategy", "g/kWh", "sd", "reduction %", "± 95 %", "regret g/kWh", "kWh", "mornings", "missed", "by points",
+    "switch-ons",
+)  # fmt: skip
 
 
 def lines(found: Iterable[Row]) -> list[str]:
@@ -192,9 +195,12 @@ def lines(found: Iterable[Row]) -> list[str]:
             _shown(row.carbon_g_per_kwh, 2),
             _shown(row.sd, 2),
             _shown(row.reduction_pct, 2),
+            _shown(row.reduction_ci95_pct, 2),
+            _shown(row.regret_g_per_kwh, 2),
             f"{row.energy_kwh:.0f}",
             str(row.mornings),
             str(row.missed_mornings),
+            _shown(row.missed_by_pct, 1),
             f"{row.switch_ons_per_night:.2f}",
         )
         for row in found
