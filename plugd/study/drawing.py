@@ -252,7 +252,7 @@ def credits_by_driver(folder: Path, rows: Sequence[dict[str, Any]], threshold_g_
             axes.imshow(cells, cmap="PuOr", norm=TwoSlopeNorm(0.0, -most, most), aspect="auto")
             for row, line in enumerate(cells):
                 for column, g in enumerate(line):
-                    colour = "white" if abs(g) > 0.62 * most else "black"
+                    colour = "white" if abs(g) > 0.52 * most else "black"
                     axes.text(column, row, f"{g:+.0f}", ha="center", va="center", fontsize=6, color=colour)
             axes.set_title(f"{stay.capitalize()} charging", fontsize=7.5)
             axes.set_xticks(range(len(uses)), [f"{use:g}" for use in uses])

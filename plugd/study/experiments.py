@@ -37,7 +37,7 @@ def add(experiments: "argparse._SubParsersAction[Any]") -> None:
         one = experiments.add_parser(name, help=told)
         _world(one, days=31, first="the file's first noon")
         if does is _credits:
-            one.add_argument("--threshold", type=float, metavar="G", help="g/kWh; default: the period's mean intensity")
+            one.add_argument("--threshold", type=float, metavar="G", help="g/kWh; default: what makes the pool even")
         shared(one, DRAWN)
         one.set_defaults(does=does)
     one = experiments.add_parser("forecast", help="the synthetic long-range forecast of a week (Figure 1)")
@@ -112,20 +112,17 @@ def _week(options: argparse.Namespace) -> int:
     return code(outcomes)
 
 
-def _flexible(
-    options: argparse.Namespace,
-) -> tuple[Measured, datetime, datetime, list[dict[str, Any]], list[Account | Failure]]:
+def _flexible(options: argparse.Namespace) -> tuple[list[dict[str, Any]], list[Account | Failure]]:
     found, start, end = _loaded(options)
     noise, value = Noise(options.noise), options.end_value == "on"
     runs = [flexibility.run(profile, found, start, end, noise, end_value=value) for profile in flexibility.PROFILES]
     outcomes = performed(runs, options)
-    rows = flexibility.rows(zip(flexibility.PROFILES, outcomes, strict=True))
-    return found, start, end, rows, outcomes
+    return flexibility.rows(zip(flexibility.PROFILES, outcomes, strict=True)), outcomes
 
 
 def _flexibility(options: argparse.Namespace) -> int:
     began = time.perf_counter()
-    *_, rows, outcomes = _flexible(options)
+    rows, outcomes = _flexible(options)
     if options.out is not None:
         drawing.flexibility(options.out, rows)
     lines = columns([COLUMNS, *([row[key] for key in COLUMNS] for row in rows)])
@@ -135,9 +132,8 @@ def _flexibility(options: argparse.Namespace) -> int:
 
 def _credits(options: argparse.Namespace) -> int:
     began = time.perf_counter()
-    found, start, end, rows, outcomes = _flexible(options)
-    period = found.actual[found.index(start) : found.index(end)]
-    threshold = fmean(period) if options.threshold is None else options.threshold
+    rows, outcomes = _flexible(options)
+    threshold = flexibility.even_g_per_kwh(rows) if options.threshold is None else options.threshold
     credited = flexibility.credited(rows, threshold)
     pool = flexibility.pool(credited)
     if options.out is not None:

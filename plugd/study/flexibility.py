@@ -85,16 +85,22 @@ def credited(found: Sequence[dict[str, Any]], threshold_g_per_kwh: float) -> lis
     ]
 
 
+def even_g_per_kwh(found: Sequence[dict[str, Any]]) -> float:
+    """The threshold at which what some sell is what the others buy: the mean of all that is charged."""
+    charged = [(row["energy_kwh"], row["carbon_g_per_kwh"]) for row in found if row["carbon_g_per_kwh"] is not None]
+    energy_kwh = sum(kwh for kwh, _ in charged)
+    return sum(kwh * g for kwh, g in charged) / energy_kwh if energy_kwh else 0.0
+
+
 def pool(found: Sequence[dict[str, Any]]) -> dict[str, float]:
     """What all drivers together net: credits sold and bought, and the threshold at which they would be even."""
     grams = [row["credit_g"] for row in found]
     energy_kwh = sum(row["energy_kwh"] for row in found)
-    carbon_g = sum(row["carbon_g_per_kwh"] * row["energy_kwh"] for row in found)
     return {
         "drivers": len(found),
         "energy_kwh": round(energy_kwh, 1),
         "over_g": round(-sum(g for g in grams if g < 0.0), 1),
         "under_g": round(sum(g for g in grams if g > 0.0), 1),
-        "net_g": round(sum(grams), 1),
-        "even_at_g_per_kwh": round(carbon_g / energy_kwh, 3) if energy_kwh else 0.0,
+        "net_g": round(sum(grams), 1) + 0.0,  # no -0.0
+        "even_at_g_per_kwh": round(even_g_per_kwh(found), 3),
     }
