@@ -5,6 +5,10 @@
 PYTHON ?= python3
 VENV ?= .venv
 ARGS ?=
+# Real hubs for `make hub-test`. Home Assistant wants Python 3.13 or newer; without Node-RED its part is left out.
+HASS ?= .venv-hass/bin/hass
+HASS_PYTHON ?= python3.13
+NODE_RED ?= $(shell command -v node-red)
 
 # One stamp a Python version: `make test PYTHON=python3.13` after `make test` builds the environment anew.
 VERSION := $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null)
@@ -16,11 +20,11 @@ LOCK := $(VENV)-lock/bin/uv pip compile --quiet --universal --python-version 3.1
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 export PIP_ROOT_USER_ACTION = ignore
 
-.PHONY: help demo test weeks check bench lock clean
+.PHONY: help demo test hub-test weeks study plugs fuzz can-week can-fuzz check bench lock clean
 .DELETE_ON_ERROR:
 
 help: ## what can be made
-	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-6s %s\n", $$1, $$2 }' Makefile
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' Makefile
 	@echo 'ARGS="..." is passed on; PYTHON=python3.13 chooses another Python.'
 
 demo: $(READY) ## a week of charging, simulated, in about a minute
@@ -29,8 +33,31 @@ demo: $(READY) ## a week of charging, simulated, in about a minute
 test: $(READY) ## every test this machine can run, and a list of what it could not
 	$(VENV)/bin/python -m pytest $(ARGS)
 
+hub-test: $(READY) $(HASS) ## against a real Home Assistant, and Node-RED where it is installed; on loopback only
+	$(VENV)/bin/python -m tests.hub.home_assistant --hass "$(HASS)" $(ARGS)
+	if [ -n "$(NODE_RED)" ]; then $(VENV)/bin/python -m tests.hub.node_red --node-red "$(NODE_RED)"; fi
+
+.venv-hass/bin/hass:
+	$(HASS_PYTHON) -m venv --clear .venv-hass
+	.venv-hass/bin/python -m pip install --quiet homeassistant
+
 weeks: $(READY) ## the README's four weeks on measured intensity ($PLUGD_DATA), and that they hold
 	$(VENV)/bin/python tests/four_weeks.py
+
+plugs: $(READY) ## every plug: the whole contract suite, and a simulated week of each
+	$(VENV)/bin/python -m pytest --every-plug tests/contract tests/hil/test_every_plug.py $(ARGS)
+
+fuzz: $(READY) ## a million payloads at everything that a plug may say
+	$(VENV)/bin/python -m tests.fuzz_plugs --payloads 1000000 $(ARGS)
+
+can-week: $(READY) ## a week of the demo with the charger on CAN: no morning missed
+	$(VENV)/bin/python tests/can_week.py
+
+can-fuzz: $(READY) ## a million frames at random against the charger on CAN
+	$(VENV)/bin/python -m tests.fuzz_can $(ARGS)
+
+study: $(READY) ## the paper's table and regions on measured intensity ($PLUGD_DATA), two seeds, and that they hold
+	$(VENV)/bin/python tests/study_figures.py
 
 check: $(READY) ## style, types, layers
 	$(VENV)/bin/ruff check
@@ -49,7 +76,7 @@ lock: python ## both locks anew from pyproject.toml (ARGS=--upgrade for newer ve
 	rm -rf $(VENV)-lock
 
 clean: ## remove the environment and every cache
-	rm -rf $(VENV) $(VENV)-bench $(VENV)-lock build dist *.egg-info hil/*.egg-info
+	rm -rf $(VENV) $(VENV)-bench $(VENV)-lock .venv-hass build dist *.egg-info hil/*.egg-info
 	rm -rf .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 

@@ -21,6 +21,7 @@ target slot, grown with the lead, with signs drawn anew for every slot of every 
 """
 
 import argparse
+import os
 import random
 import time
 from collections.abc import Callable, Iterator
@@ -29,25 +30,26 @@ from dataclasses import dataclass, replace
 from datetime import date, datetime, timedelta
 from functools import lru_cache
 from itertools import takewhile
+from pathlib import Path
 from statistics import fmean
 
-import end_value
-from end_value import Year
 from plugd import sessions
 from plugd.controller import Controller
 from plugd.domain import Capability, Decision, Household, Memory, Observation, Overrides, RelayRules, Switching
 from plugd.planner.exact import Exact
 from plugd.relay import slot_shares
-from plugd.series import IntensitySeries
 from plugd.study import measured, runs
 from plugd.study.engine import Account
-from plugd.study.forecasts import Noise
+from plugd.study.forecasts import PAPER_GROWTH, Noise
 from plugd.study.house import FunctionSource, House
+from plugd.study.measured import Measured
 from plugd.study.world import Battery, Driver, Stay
 from plugd.units import HALF_HOUR, hours, next_slot, pieces, slot_start
 from plugd_hil.neso_source import forecast_error
+from plugd_hil.synthetic import synthetic_year
 
 START_KWH = 25.0
+SYNTHETIC_ERROR = 0.06
 SEASONS = (1, 4, 7, 10)
 YEAR_NIGHTS = 357
 """So that the last plan ends within the year."""
@@ -140,7 +142,17 @@ class Watched:
         return getattr(self.controller, name)
 
 
-def issues(year: Year, job: Job) -> tuple[Issue, int]:
+def load() -> Measured:
+    """2023 as measured, or a synthetic year with one-step errors of some per cent."""
+    path = Path(os.environ.get("PLUGD_DATA") or Path(__file__).parents[1].parent / "shared/data")
+    path /= "neso_national_2023.csv"
+    if path.exists():
+        return measured.load(path)
+    found, dice = measured.measured("a synthetic year", synthetic_year()), random.Random(0)
+    return replace(found, error=tuple(SYNTHETIC_ERROR * dice.gauss() for _ in found.actual))
+
+
+def issues(year: Measured, job: Job) -> tuple[Issue, int]:
     """The forecast, and how many half hours of it there are."""
 
     def perfect(issued: datetime, slot: datetime) -> float | None:
@@ -160,14 +172,15 @@ def issues(year: Year, job: Job) -> tuple[Issue, int]:
         if target >= len(year.actual):
             return None
         sign = 1 if signs(slot_start(issued)) >> lead & 1 else -1
-        return max(0.0, year.forecast(target - lead, target, sign))
+        grown = abs(year.error[target]) * (1.0 + PAPER_GROWTH * lead)
+        return max(0.0, year.actual[target] * (1.0 + sign * grown))
 
     return {"perfect": (perfect, 240), "errors": (errors, 96), "paper": (paper, 240)}[job.world]
 
 
 def run(job: Job) -> tuple[Job, Found]:
     """One simulation, in a process of its own."""
-    year = end_value.load()
+    year = load()
     begin = year.start + timedelta(days=job.start_day, hours=12)
     end = begin + timedelta(days=job.nights)
     household = Household(
@@ -202,7 +215,7 @@ def run(job: Job) -> tuple[Job, Found]:
 
 
 def nights_apart(
-    year: Year, job: Job, household: Household, stays: tuple[Stay, ...], flows: dict[int, float], begin: datetime,
+    year: Measured, job: Job, household: Household, stays: tuple[Stay, ...], flows: dict[int, float], begin: datetime,
     end: datetime,
 ) -> tuple[float, float]:  # fmt: skip
     """Carbon in the sessions, and that of the same energy in each one's cleanest half hours."""
@@ -257,16 +270,11 @@ def simulate(asked: argparse.Namespace, lines: list[Job]) -> dict[Job, list[Foun
 def study_year(case: tuple[float, bool, int]) -> Account:
     """A year of a charger or a relay with perfect foresight, in the study's loop: the daemon's plan and relay code."""
     power_kw, modulating, seed = case
-    found = measured.measured(end_value.load().name, series_of(end_value.load()))
+    found = load()
     household = Household(relay=USUAL, capability=Capability(power_kw, modulating=modulating))
     start, end = measured.span(found, None)
     chosen = runs.paper_run("mpc", found, start, end, horizon=4, seed=seed, noise=Noise.NONE, household=household)
     return runs.simulated(chosen)
-
-
-def series_of(year: Year) -> IntensitySeries:
-    """The year as the study takes it."""
-    return IntensitySeries(year.start, year.actual, (None,) * len(year.actual))
 
 
 def relay_table(asked: argparse.Namespace) -> None:
@@ -347,7 +355,7 @@ def main() -> None:
     asked = parser.parse_args()
     for name in asked.table or ("relay", "stillness"):
         began = time.monotonic()
-        print(f"{name}: {end_value.load().name}, {asked.seeds} seeds", end="")
+        print(f"{name}: {load().name}, {asked.seeds} seeds", end="")
         nights = sum(n for _, n in spans(asked))
         print("" if name == "relay" else f", {nights} nights")
         TABLES[name](asked)

@@ -7,13 +7,18 @@ import os
 import sys
 import time
 from collections.abc import Callable, Sequence
-from contextlib import suppress
+from contextlib import closing, suppress
+from datetime import date
 from importlib.util import find_spec
 from pathlib import Path
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 from plugd import __version__
 from plugd.errors import AlreadyRunning, ConfigError, PlugdError, UsageError
+
+if TYPE_CHECKING:
+    from plugd.config import Config
+    from plugd.series import IntensitySeries
 
 DEFAULT_CONFIG = Path("/etc/plugd/plugd.toml")
 EXIT_CODES: tuple[tuple[type[PlugdError], int], ...] = (
@@ -130,11 +135,45 @@ def _plug(options: argparse.Namespace) -> int:
     from plugd.config import load
     from plugd.inspection import switch
 
-    print(switch(load(_config_path(options)), options.do))
+    print(switch(load(_config_path(options)), options.do, getattr(options, "amps", None)))
     return 0
 
 
-def _demo(arguments: Sequence[str]) -> int:
+def _history(options: argparse.Namespace) -> int:
+    from plugd import history
+
+    if options.do == "show":
+        config = _configured(options)
+        if config is None:
+            raise UsageError("history show: there is no configuration; name it with -c")
+        print("\n".join(history.shown(config)))
+        return 0
+    print(history.fetch(_configured(options), options.region, options.since, options.until, options.out, _progress))
+    return 0
+
+
+def _configured(options: argparse.Namespace) -> "Config | None":
+    """The configuration, where there is one; one that was named must be there."""
+    from plugd.config import load
+
+    path = _config_path(options)
+    named = options.config or os.environ.get("PLUGD_CONFIG")
+    return load(path) if named or path.exists() else None
+
+
+def _progress(words: str) -> None:
+    if sys.stderr.isatty():
+        print(words, file=sys.stderr)
+
+
+def _day(text: str) -> date:
+    try:
+        return date.fromisoformat(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"{text!r} is no date; write it as 2023-01-31") from error
+
+
+def _demo(options: argparse.Namespace, arguments: Sequence[str]) -> int:
     """Hand over to the bench, which is a program of its own."""
     missing = [name for name in ("plugd_hil", "rich") if find_spec(name) is None]
     if missing:
@@ -142,10 +181,18 @@ def _demo(arguments: Sequence[str]) -> int:
     os.execv(sys.executable, [sys.executable, "-m", "plugd_hil.demo", *arguments])
 
 
-def _study(arguments: Sequence[str]) -> int:
+def _study(options: argparse.Namespace, arguments: Sequence[str]) -> int:
     from plugd.study import command
 
-    return command.main(Parser(prog="plugd study", description="The paper's experiments, and ours."), arguments)
+    def regions(since: date, until: date) -> dict[int, "IntensitySeries"]:
+        from plugd import history
+        from plugd.adapters.clock import SystemClock
+
+        with closing(SystemClock()) as clock:
+            return history.regions(_configured(options), since, until, clock, _progress)
+
+    parser = Parser(prog="plugd study", description="The paper's experiments, and ours.")
+    return command.main(parser, arguments, regions)
 
 
 HANDED_OVER = {"demo": _demo, "study": _study}
@@ -177,8 +224,21 @@ def _parser() -> argparse.ArgumentParser:
     plan.add_argument("--problem", type=Path, metavar="FILE", help="needs no configuration")
     plan.add_argument("--solver", choices=("osqp", "exact"), default="osqp")
     plan.add_argument("--explain", action="store_true", help="why these slots, and what each bound costs")
+    past = commands.add_parser("history", help="past carbon intensity: fetch it, or show what is known")
+    does = past.add_subparsers(dest="do", required=True, metavar="fetch|show")
+    past.set_defaults(does=_history)
+    fetch = does.add_parser("fetch", help="from the API into the store, or a CSV file")
+    fetch.add_argument("--from", dest="since", type=_day, required=True, metavar="DATE")
+    fetch.add_argument("--to", dest="until", type=_day, required=True, metavar="DATE", help="not included")
+    fetch.add_argument("--region", type=int, metavar="ID", help="1 to 17; default: the configured place, or the nation")
+    fetch.add_argument("--out", type=Path, metavar="CSV", help="instead of the store; needs no configuration")
+    does.add_parser("show", help="what the store knows")
     plug = add("plug", _plug, "the plug by hand")
-    plug.add_argument("do", choices=("show", "on", "off"))
+    by_hand = plug.add_subparsers(dest="do", required=True, metavar="DO")
+    for name, text in (("show", "how it is"), ("on", "switch it on"), ("off", "switch it off, and leave it so")):
+        by_hand.add_parser(name, help=text, description=text)
+    amps = by_hand.add_parser("amps", help="a charger's current", description="A charger's current; 0 pauses it.")
+    amps.add_argument("amps", type=float, metavar="N", help="amperes")
     return parser
 
 
@@ -186,7 +246,7 @@ def _commanded(given: Sequence[str]) -> int:
     parser = _parser()
     options, rest = parser.parse_known_args(given)
     if options.command in HANDED_OVER:
-        return HANDED_OVER[options.command](rest)
+        return HANDED_OVER[options.command](options, rest)
     if rest:
         parser.error(f"unrecognized arguments: {' '.join(rest)}")
     # Only the daemon's log is read by somebody; the other commands say all that matters themselves.

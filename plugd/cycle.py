@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from typing import TypeVar
 
+from plugd import commands
 from plugd.beat import LEASE, Action, is_on
 from plugd.beat import Cause as By
 from plugd.controller import Controller
@@ -91,7 +92,7 @@ class Cycle:
         now = self.clock.now()
         was_on = self.memory.relay_on
         reading = self._read()
-        orders = tuple(self.hub.commands())
+        orders = tuple(order for order in self.hub.commands() if commands.is_news(order, self.memory, now))
         pressed = reading is not None and reading.changed_by_other is not None
         due = self._tick_due(now)
         if due:  # a command or a press does not wait for the network
@@ -114,10 +115,7 @@ class Cycle:
         return self._next(now, action)
 
     def rest(self, due: datetime, inbox: Inbox, stopped: Callable[[], bool]) -> None:
-        """Wait until `due`, a message or a spurious end; a plug that wants a word every second gets it meanwhile.
-
-        What arrives while such a plug is tended is looked at with its next word, and the plug itself every `LOOK_S`.
-        """
+        """Wait until `due` or a message. A plug that wants a word a second gets it, and is looked at every `LOOK_S`."""
         plug = self.plug
         if not isinstance(plug, Tended):
             self.clock.wait(due, inbox)
@@ -143,7 +141,7 @@ class Cycle:
     def _seen(
         self, reading: Reading | None, orders: tuple[Command, ...] = (), history: tuple[Intensity, ...] = ()
     ) -> Observation:
-        faults = {fault.code: fault for fault in (*self.faults.values(), *self.plug.warnings)}
+        faults = {fault.code: fault for fault in (*self.faults.values(), *self.plug.warnings, *self.hub.warnings)}
         return Observation(reading, self.forecast, history, orders, tuple(faults.values()))
 
     def _tick_due(self, now: datetime) -> bool:
@@ -223,7 +221,7 @@ class Cycle:
         # An "on" that is already on needs no word; an "off" has to be taken once, to arm or disarm its timer.
         if as_wanted and (wanted == Relay(True) or (same and self.switch.failures == 0)):
             obeyed = same and self.switch.failures > 0 and not was_on  # without an answer, as is seen only now
-            self.told = wanted
+            self.told = self.told if same else wanted  # a setpoint told earlier ends when it was told to
             self.switch.succeeded()
             self._clear("plug_refuses")
             if obeyed:
@@ -291,9 +289,7 @@ class Cycle:
         self.faults.pop((code, what), None)
 
     def _next(self, now: datetime, action: Action) -> datetime:
-        moments = [next_slot(now), action.until]
-        if not isinstance(self.plug, Tended):  # that is told its word between the steps
-            moments.append(self.plug.due())
+        moments = [next_slot(now), action.until, None if isinstance(self.plug, Tended) else self.plug.due()]
         moments += [retry.at for retry in (self.fetch, self.switch)]
         return min(m for m in moments if m is not None and m > now)
 

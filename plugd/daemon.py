@@ -6,6 +6,7 @@ import random
 import signal
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from types import FrameType
@@ -14,7 +15,11 @@ from plugd import perception
 from plugd.adapters.hub import MqttHub, Topics
 from plugd.adapters.mqtt import Broker, MqttConnection
 from plugd.adapters.neso import Neso
+from plugd.adapters.openevse import OpenEvse, whole_amps
+from plugd.adapters.plain import PRESETS, Plain
+from plugd.adapters.shelly2 import Shelly2
 from plugd.adapters.store import SqliteStore
+from plugd.adapters.switched import SwitchedPlug
 from plugd.adapters.tasmota import Tasmota
 from plugd.config import Config, household
 from plugd.config.sections import MODULATING
@@ -61,33 +66,42 @@ def capability_of(config: Config) -> Capability:
     """What the configured plug can be told, without asking it."""
     plug, can = config.plug, config.can
     if plug.kind not in MODULATING:
-        return Capability(plug.power_kw, dead_man=True)
+        return Capability(plug.power_kw, dead_man=plug.kind not in PRESETS)
     most_kw = min(plug.power_kw, kw_of(plug.max_current_a, plug.mains_voltage_v))
     if plug.kind == "can_elcon" and can.max_voltage_v is not None and can.max_current_a is not None:
         most_kw = min(most_kw, kw_of(can.max_current_a, can.max_voltage_v) / config.car.efficiency)
     least_kw = min(most_kw, kw_of(plug.min_current_a, plug.mains_voltage_v))
-    return Capability(most_kw, modulating=True, power_min_kw=least_kw)
+    capability = Capability(most_kw, modulating=True, power_min_kw=least_kw)
+    return whole_amps(capability, plug.mains_voltage_v) if plug.kind == "openevse" else capability
 
 
 def plug_for(config: Config, connection: MqttConnection, clock: Clock) -> Plug:
-    """The plug of the configured kind. Raises ConfigError for one that is not built yet."""
-    match config.plug.kind:
+    """The plug of the configured kind. Raises ConfigError for one whose libraries are not installed."""
+    plug = config.plug
+    topic = plug.topic or ""
+    match plug.kind:
         case "tasmota":
-            return Tasmota(connection, clock, config.plug.topic or "", config.plug.power_kw, config.plug.dead_man_s)
+            return Tasmota(connection, clock, topic, plug.power_kw, plug.dead_man_s)
+        case "shelly2":
+            dialect = Shelly2(topic, reply_topic=f"{base_topic(config)}/{connection.name}")
+            return SwitchedPlug(connection, clock, topic, dialect, plug.power_kw, plug.dead_man_s)
+        case "openevse":
+            return OpenEvse(connection, clock, topic, capability_of(config), plug.mains_voltage_v)
         case "can_elcon":
-            return _can_charger(config, clock)
+            return _can_charger(config, clock=clock)
         case kind:
-            raise ConfigError(f'plug.kind = "{kind}": not supported yet; use "tasmota"')
+            words = replace(PRESETS[kind], **plug.mqtt.model_dump(exclude_none=True))
+            return SwitchedPlug(connection, clock, topic, Plain(topic, words), plug.power_kw)
 
 
 def _can_charger(config: Config, clock: Clock) -> Plug:
-    """The charger on CAN. Raises ConfigError where its libraries are not installed, or a DBC cannot be read."""
+    """The charger on CAN. Raises ConfigError without its libraries, its battery's limits, or a DBC that was named."""
     if missing := [name for name in ("cantools", "msgpack", "serial") if find_spec(name) is None]:
         remedy = "pip install 'plugd[can]', or all of requirements.lock"
         raise ConfigError(f'plug.kind = "can_elcon": needs {" and ".join(missing)}; {remedy}')
     from plugd.adapters.can_charger import charger  # only where it is wanted: others need not have its libraries
 
-    return charger(config, capability_of(config), clock)
+    return charger(config, capability_of(config), clock=clock)
 
 
 def source_for(config: Config) -> Neso:
@@ -103,6 +117,8 @@ def hub_for(config: Config, connection: MqttConnection, plug: Plug) -> MqttHub:
         base=base_topic(config),
         soc_topic=config.car.soc_topic,
         soc_json_key=config.car.soc_json_key,
+        soc_fraction=config.car.soc_unit == "fraction",
+        discovery_prefix=config.broker.discovery_prefix,
     )
     return MqttHub(connection, topics, household(config, plug.capability))
 

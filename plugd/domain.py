@@ -77,6 +77,8 @@ class Car:
     taper_from: float = 1.0
     """From this SOC on it takes less, in a straight line down to `taper_share` of the power when full; 1: never."""
     taper_share: float = 0.2
+    soc_max_age_s: float = 1800.0
+    """An older word of the car counts as none: the SOC is then called what it is, carried on by the meter."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,6 +217,27 @@ class SetReadyBy:
 
 
 @dataclass(frozen=True, slots=True)
+class SetWeek:
+    """The weekdays that differ, in the order of the week; None to go back to the configured ones."""
+
+    week: tuple[tuple[int, DayRule], ...] | None
+
+
+@dataclass(frozen=True, slots=True)
+class SetTrip:
+    """One morning that differs. It replaces what was set for that day before."""
+
+    trip: Trip
+
+
+@dataclass(frozen=True, slots=True)
+class ClearTrip:
+    """That morning is as any other again."""
+
+    day: date
+
+
+@dataclass(frozen=True, slots=True)
 class SetHorizon:
     """How many sessions are planned together."""
 
@@ -233,7 +256,9 @@ class Replan:
     """Plan now."""
 
 
-Command = SetMode | SetSoc | SetMinimum | SetReadyBy | SetHorizon | SetConnected | Replan
+Command = (
+    SetMode | SetSoc | SetMinimum | SetReadyBy | SetWeek | SetTrip | ClearTrip | SetHorizon | SetConnected | Replan
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -419,6 +444,11 @@ class SocEstimate:
     """Highest power since the relay last went on: a fall from it, then nothing, means the car is full."""
     last_kw: float = 0.0
     """Power of the last reading that showed any."""
+    car_said: float | None = None
+    """The car's last word that was believed, until somebody else says another."""
+    doubted: float | None = None
+    """A word of the car that was too far off to be believed at once."""
+    doubted_at: datetime | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -430,6 +460,8 @@ class Overrides:
     ready_by: time | None = None
     horizon: int | None = None
     trips: tuple[Trip, ...] = ()
+    """In order of their days. Each is forgotten when its day is over."""
+    week: tuple[tuple[int, DayRule], ...] | None = None
 
 
 @dataclass(frozen=True, slots=True)

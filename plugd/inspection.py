@@ -14,18 +14,22 @@ from plugd.adapters.store import SqliteStore
 from plugd.config import Config, household
 from plugd.controller import Controller
 from plugd.cycle import HISTORY
-from plugd.domain import Decision, Fault, Forecast, Intensity, Observation, Reading, Relay
-from plugd.errors import ForecastError, PlugdError, PlugRefused, PlugTimeout, StoreError
+from plugd.domain import Decision, Fault, Forecast, Intensity, Observation, Reading, Relay, Setpoint
+from plugd.errors import ForecastError, PlugdError, PlugRefused, PlugTimeout, StoreError, UsageError
 from plugd.explanation import Names, dated
 from plugd.planner.marginal import Explanation, explain
 from plugd.planner.nights import layout
 from plugd.planner.problem import Problem, Solution, Solver
 from plugd.planner.qp import Qp
-from plugd.ports import Clock, Plug
-from plugd.units import slot_start, to_w
+from plugd.ports import Clock, Plug, Tended
+from plugd.units import kw_of, slot_start, to_w
 
 SETTLE = timedelta(seconds=6)
 """A plug tells its power 2 to 5 s after it was switched on."""
+NO_COVER = (
+    "no timer of its own: switched off, it stays off if plugd or the broker dies, and the car is not charged; "
+    "docs/hardware.md names plugs that switch on by themselves"
+)
 OLDEST = datetime(2026, 1, 1, tzinfo=UTC)
 """A clock before it was never set."""
 
@@ -40,10 +44,10 @@ class Finding:
 
 
 @contextmanager
-def _connected(config: Config) -> Iterator[tuple[MqttConnection, Plug, Clock, Mailbox]]:
+def _connected(config: Config, for_plug: bool = True) -> Iterator[tuple[MqttConnection, Plug, Clock, Mailbox]]:
     """A connection of its own beside the daemon's, the plug over it, and the daemon's availability.
 
-    Raises PlugTimeout without a broker.
+    Raises PlugTimeout without a broker, but for a plug that is not reached through one.
     """
     clock = SystemClock()
     connection = daemon.connect(config, client=f"plugd-{config.name}-{os.getpid()}")
@@ -51,11 +55,14 @@ def _connected(config: Config) -> Iterator[tuple[MqttConnection, Plug, Clock, Ma
     others = connection.subscribe((f"{daemon.base_topic(config)}/availability", Retained.REPLAYED))
     connection.start()
     try:
-        if not connection.wait_connected(daemon.BROKER_PATIENCE_S):
+        apart = for_plug and isinstance(plug, Tended)
+        if not connection.wait_connected(1.0 if apart else daemon.BROKER_PATIENCE_S) and not apart:
             raise PlugTimeout(f"{connection.refusal or 'no answer'}; is it running, and is [broker] right?")
         connection.flush()
         yield connection, plug, clock, others
     finally:
+        if isinstance(plug, Tended):
+            plug.close()
         connection.close()
         clock.close()
 
@@ -71,17 +78,32 @@ def _told(reading: Reading) -> str:
     return f"{'on' if reading.on else 'off'}, {power}{total}"
 
 
-def switch(config: Config, do: str) -> str:
-    """Show or switch the plug by hand, and say how it is then. Raises PlugError."""
+def switch(config: Config, do: str, amps: float | None = None) -> str:
+    """Show, switch or set (`amps`) the plug by hand, and say how it is then. Raises PlugError, UsageError."""
     with _connected(config) as (connection, plug, clock, others):
         if do == "show":
             return _told(plug.read())
         running = _daemon_runs(others)
-        plug.set(Relay(do == "on", held=do == "off"))
+        if isinstance(plug, Tended) and running:
+            raise PlugRefused("the running plugd tells the charger what to do every second; stop it first")
+        plug.set(
+            Relay(do == "on", held=do == "off")
+            if amps is None
+            else _current(plug, clock, amps, config.plug.mains_voltage_v)
+        )
         told = _told(_settled(plug, clock, connection))
+        if isinstance(plug, Tended):
+            return f"{told}; it is stopped again now: without a word every second it gives nothing"
         if running:
             return f"{told}; the running plugd takes this as a press of the plug's button"
         return f"{told}; it stays so until somebody switches it, or plugd starts"
+
+
+def _current(plug: Plug, clock: Clock, amps: float, voltage_v: float) -> Setpoint:
+    """A charger's setpoint for a day. Raises UsageError for a plain plug."""
+    if not plug.capability.modulating:
+        raise UsageError("this plug knows on and off only: plugd plug on, or off")
+    return Setpoint(kw_of(max(amps, 0.0), voltage_v), clock.now() + timedelta(days=1))
 
 
 def _settled(plug: Plug, clock: Clock, connection: MqttConnection) -> Reading:
@@ -89,7 +111,8 @@ def _settled(plug: Plug, clock: Clock, connection: MqttConnection) -> Reading:
     until = clock.now() + SETTLE
     reading = plug.read()
     while reading.on and not reading.power_kw and clock.now() < until:
-        clock.wait(until, connection)
+        clock.wait(min(until, plug.due() or until), connection)
+        plug.tend(clock.now())
         reading = plug.read()
     return reading
 
@@ -167,7 +190,7 @@ def _forecast(config: Config, click: bool) -> str:
 
 
 def _broker(config: Config, click: bool) -> str:
-    with _connected(config):
+    with _connected(config, for_plug=False):
         return f"{config.broker.host}:{config.broker.port} lets us in"
 
 
@@ -176,7 +199,9 @@ def _plug(config: Config, click: bool) -> str:
         told = _told(plug.read())
         if click:
             told = _clicked(plug, clock, connection, _daemon_runs(others))
-        cover = "" if plug.capability.dead_man else "; no timer of its own: it stays off if plugd dies"
+        cover = "" if plug.capability.dead_man else f"; {NO_COVER}"
+        if isinstance(plug, Tended):
+            cover = "; it stops by itself 5 s after plugd's last word, so a dead plugd leaves it OFF"
         return told + cover + "".join(f"; {w.text}" for w in plug.warnings)
 
 
@@ -228,7 +253,7 @@ def check(config: Config, click: bool = False) -> Iterator[Finding]:
     ok: dict[str, bool] = {}
     for what, look in CHECKS:
         try:
-            if not ok.get(NEEDS.get(what, ""), True):
+            if not ok.get(NEEDS.get(what, ""), True) and config.plug.kind != "can_elcon":
                 raise PlugdError(f"cannot be asked without the {NEEDS[what]}; mend that first")
             text = look(config, click)
         except PlugdError as error:

@@ -98,6 +98,10 @@ class Tended(Protocol):
 class Hub(Protocol):
     """Whoever commands plugd and wants to know."""
 
+    @property
+    def warnings(self) -> Sequence[Fault]:
+        """What a person should mend at the hub's end, though plugd works."""
+
     def commands(self) -> Sequence[Command]:
         """What arrived since the last call, oldest first. Refused ones are answered and not in it."""
 

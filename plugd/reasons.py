@@ -87,6 +87,16 @@ def _shortfall(tonight: SessionPlan | None, household: Household) -> str:
     return f" {end}: {_percent(tonight.soc_end)}, {_percent(short)} short of {_percent(tonight.session.minimum)}."
 
 
+def at_risk(now: datetime, memory: Memory, household: Household, faults: tuple[Fault, ...]) -> bool | None:
+    """Whether the next morning may find less than its minimum; None where nothing is planned."""
+    tonight = next(iter(_coming(now, memory)), None)
+    if tonight is None:
+        return None
+    lacking = soc.cautious(memory.soc) < tonight.session.minimum
+    uncontrolled = any(fault.code in UNCONTROLLED for fault in faults)
+    return bool(_shortfall(tonight, household)) or (lacking and uncontrolled)
+
+
 def _starts(now: datetime, tonight: SessionPlan, memory: Memory) -> datetime | None:
     """When power is to flow next, by the relay's orders or else by the plan itself."""
     if isinstance(memory.orders, Switching):

@@ -52,13 +52,13 @@ def shifted(clock: time, minutes: float) -> tuple[int, time]:
     return total // 1440, time((total % 1440) // 60, total % 60)
 
 
-def _rule(day: date, nights: Nights, overrides: Overrides) -> DayRule:
+def rule_of(day: date, nights: Nights, overrides: Overrides) -> DayRule:
     """What counts for the morning of `day`: a trip beats the week, the week beats the defaults."""
     default = DayRule(
         ready_by=overrides.ready_by or nights.ready_by,
         minimum=nights.minimum if overrides.minimum is None else overrides.minimum,
     )
-    week = dict(nights.week).get(day.weekday(), DayRule())
+    week = dict(nights.week if overrides.week is None else overrides.week).get(day.weekday(), DayRule())
     trip = next((t for t in overrides.trips if t.day == day), None)
     dated = DayRule(trip.ready_by, trip.minimum, trip.away) if trip else DayRule(away=week.away)
     minima = (dated.minimum, week.minimum, default.minimum)
@@ -74,7 +74,7 @@ def _window(day: date, household: Household, overrides: Overrides) -> Window | N
     """The stay that ends on the local `day`; None if the car is away."""
     nights, car = household.nights, household.car
     zone = ZoneInfo(household.timezone)
-    rule = _rule(day, nights, overrides)
+    rule = rule_of(day, nights, overrides)
     if rule.away:
         return None
     z = z_score(nights.confidence)
@@ -112,6 +112,16 @@ def windows(household: Household, overrides: Overrides, since: datetime) -> Iter
         if window is not None and window.session.end > since:
             yield window
         day += DAY
+
+
+def today(now: datetime, household: Household) -> date:
+    """The local day."""
+    return now.astimezone(ZoneInfo(household.timezone)).date()
+
+
+def stay_of(day: date, household: Household, overrides: Overrides) -> Window | None:
+    """The stay that ends on the local `day`; None if the car is away, or there is no time for one."""
+    return _window(day, household, overrides)
 
 
 def under_way(now: datetime, household: Household, overrides: Overrides, presence: Presence) -> Window | None:

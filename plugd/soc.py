@@ -1,7 +1,7 @@
 """How full the car is: told now and then, carried on by the meter, lowered by driving in between."""
 
 from dataclasses import replace
-from datetime import datetime
+from datetime import datetime, timedelta
 
 from plugd.domain import Car, Reading, SocEstimate
 from plugd.units import hours, within
@@ -20,6 +20,16 @@ TAPERED_SHARE = 0.6
 """A car that is full lets its power fall before it stops; one that is unplugged does not."""
 RESET_KWH = 1.0
 """A meter that starts anew shows less than this; anything else that falls is a fault of the meter."""
+
+CAR, CARRIED_ON = "car", "meter"
+"""Who says it: the car itself, or nobody for so long that the meter's count is what is left."""
+JUMP, JUMP_PER_MIN = 0.05, 0.05
+"""How far a word of the car may be from the estimate, at once and for each minute since the last word."""
+CONFIRMED_AFTER = timedelta(seconds=60)
+FROZEN = 0.04
+"""What may have flowed while the car says exactly what it said before: it may count in whole points."""
+SAME, SAID_OFTEN, SAID_AGAIN = 0.02, timedelta(minutes=1), timedelta(minutes=5)
+"""A car may speak every second: within the first time no word is news, and one much the same not within the second."""
 
 
 def unknown(now: datetime) -> SocEstimate:
@@ -43,7 +53,56 @@ def told(estimate: SocEstimate, soc: float, now: datetime, source: str) -> SocEs
         driven_to=now,
         peak_kw=0.0,
         last_kw=0.0,
+        car_said=soc if source == CAR else None,
+        doubted=None,
+        doubted_at=None,
     )
+
+
+def heard(estimate: SocEstimate, soc: float, now: datetime) -> SocEstimate:
+    """The car says how full it is. A jump is believed once it says so again; see `doubts`.
+
+    The very word it said before does not take back what has flowed since. Where too much has, it repeats an old
+    word, or nothing reaches the battery: then promises are made on what it says, and the mean stays the meter's.
+    """
+    if soc == estimate.car_said and estimate.mean >= soc:
+        if estimate.mean - soc <= FROZEN:
+            return replace(estimate, source=CAR, told_at=now, doubted=None, doubted_at=None)
+        return replace(estimate, sd=max(estimate.sd, (estimate.mean - soc) / CAUTION_SD))
+    if not doubts(estimate, soc, now):
+        return told(estimate, soc, now, CAR)
+    if estimate.doubted is not None and estimate.doubted_at is not None and abs(soc - estimate.doubted) <= JUMP:
+        if now - estimate.doubted_at >= CONFIRMED_AFTER:
+            return told(estimate, soc, now, CAR)
+        if now >= estimate.doubted_at:
+            return estimate
+    return replace(estimate, doubted=soc, doubted_at=now)
+
+
+def doubts(estimate: SocEstimate, soc: float, now: datetime) -> bool:
+    """Whether a word is further from the estimate than a battery gets in the time since the last word."""
+    if estimate.told_at is None:
+        return False
+    minutes = max(0.0, (now - estimate.told_at).total_seconds() / 60.0)
+    return abs(soc - estimate.mean) > JUMP + JUMP_PER_MIN * minutes
+
+
+def is_news(estimate: SocEstimate, soc: float, now: datetime) -> bool:
+    """Whether a word of the car is worth a decision of its own."""
+    if soc == estimate.car_said and estimate.mean - soc > FROZEN:
+        return cautious(estimate) > soc + SAME
+    if estimate.told_at is None or now < estimate.told_at or estimate.source != CAR:
+        return True
+    if doubts(estimate, soc, now):
+        again = estimate.doubted is not None and abs(soc - estimate.doubted) <= JUMP
+        return not (again and estimate.doubted_at is not None and now - estimate.doubted_at < CONFIRMED_AFTER)
+    return now - estimate.told_at >= (SAID_AGAIN if abs(soc - estimate.mean) < SAME else SAID_OFTEN)
+
+
+def aged(estimate: SocEstimate, now: datetime, car: Car) -> SocEstimate:
+    """With an old word of the car's no longer called the car's."""
+    old = estimate.told_at is not None and (now - estimate.told_at).total_seconds() > car.soc_max_age_s
+    return replace(estimate, source=CARRIED_ON) if estimate.source == CAR and old else estimate
 
 
 def driven(estimate: SocEstimate, drives: tuple[tuple[datetime, int], ...], car: Car) -> SocEstimate:

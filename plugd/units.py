@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
+from typing import TypeGuard
 
 HALF_HOUR = timedelta(minutes=30)
 SLOT_H = 0.5
@@ -60,6 +61,16 @@ def from_w(power_w: float) -> float:
     return power_w / 1000.0
 
 
+def from_wh(energy_wh: float) -> float:
+    """Watt-hours to kWh."""
+    return energy_wh / 1000.0
+
+
+def from_wmin(energy_wmin: float) -> float:
+    """Watt-minutes to kWh."""
+    return energy_wmin / 60000.0
+
+
 def to_w(power_kw: float) -> float:
     """kW to watts, rounded to a tenth."""
     return round(power_kw * 1000.0, 1)
@@ -80,7 +91,7 @@ def within(low: float, value: float, high: float) -> float:
     return min(max(value, low), high)
 
 
-def is_number(value: object) -> bool:
+def is_number(value: object) -> TypeGuard[float]:
     """Whether a parsed JSON value is a finite number (a JSON true is none)."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return False

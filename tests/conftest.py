@@ -60,6 +60,11 @@ COMPONENTS = {
 LEFT_OUT = pytest.StashKey[Counter[str]]()
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """What takes too long for every run."""
+    parser.addoption("--every-plug", action="store_true", help="the whole contract suite, and a week, of every plug")
+
+
 def pytest_configure(config: pytest.Config) -> None:
     """Ends the run at once where a component that was promised is unknown or missing."""
     # A shell that runs us in the background has our children ignore Ctrl-C, which some tests send.

@@ -221,7 +221,9 @@ def test_the_version(plugd: Shell) -> None:
         (("dance",), "invalid choice: 'dance'"),
         (("run", "--fast"), "unrecognized arguments: --fast"),
         (("plan", "--solver", "guess"), "invalid choice: 'guess'"),
-        (("plug",), "plugd plug: the following arguments are required: do"),
+        (("plug",), "plugd plug: the following arguments are required: DO"),
+        (("plug", "amps"), "plugd plug amps: the following arguments are required: N"),
+        (("plug", "amps", "much"), "plugd plug amps: argument N: invalid float value: 'much'"),
     ],
 )
 def test_a_wrong_command_is_one_line_and_status_2(plugd: Shell, arguments: tuple[str, ...], said: str) -> None:
@@ -280,12 +282,12 @@ def test_an_unknown_key_is_named_with_its_file(plugd: Shell, tmp_path: Path) -> 
         assert "car.capacity_kwh" in answer.line
 
 
-def test_a_kind_of_plug_that_is_not_built_yet_is_a_configuration_error(plugd: Shell, tmp_path: Path) -> None:
+def test_a_charger_on_can_without_its_batterys_limits_is_a_configuration_error(plugd: Shell, tmp_path: Path) -> None:
     path = tmp_path / "plugd.toml"
-    path.write_text(f'[plug]\nkind = "shelly2"\ntopic = "ev-plug"\n[state]\ndir = "{tmp_path}/state"\n')
+    path.write_text(f'[plug]\nkind = "can_elcon"\n[state]\ndir = "{tmp_path}/state"\n')
     answer = plugd("-c", str(path), "run")
     assert answer.status == 78
-    assert "shelly2" in answer.err
+    assert answer.line.startswith("plugd: can.max_voltage_v: write the highest voltage that the battery bears")
 
 
 # -- beside a plug, a broker, a server ------------------------------------------------------------
@@ -301,12 +303,15 @@ class Bench:
     folder: Path
     left: ExitStack
 
-    def config(self, topic: str = "ev-plug", broker: int | None = None, neso: int | None = None) -> str:
+    def config(
+        self, topic: str = "ev-plug", broker: int | None = None, neso: int | None = None, kind: str = "tasmota"
+    ) -> str:
         """With another topic or port, where nothing is."""
         path = self.folder / "plugd.toml"
         path.write_text(
             f'[broker]\nhost = "127.0.0.1"\nport = {broker or self.broker.port}\n[plug]\ntopic = "{topic}"\n'
-            f'[forecast]\nbase_url = "http://127.0.0.1:{neso or self.neso.said.all[0]["port"]}"\n'
+            f'kind = "{kind}"\npower_kw = 2.3\n[forecast]\n'
+            f'base_url = "http://127.0.0.1:{neso or self.neso.said.all[0]["port"]}"\n'
             f'[state]\ndir = "{self.folder}/state"\n[web]\nenabled = false\n'
         )
         return str(path)
@@ -373,14 +378,14 @@ def test_a_click_leaves_a_plug_that_was_on_on_and_sees_when_nothing_flows(
 
 def test_check_says_what_to_mend(plugd: Shell, bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("plugd.daemon.BROKER_PATIENCE_S", 0.5)
-    monkeypatch.setattr("plugd.adapters.tasmota.PATIENCE_S", 0.2)
+    monkeypatch.setattr("plugd.adapters.plug_line.PATIENCE_S", 0.2)
     nowhere = free_port()
     (bench.folder / "state").write_text("a file where a folder should be")
     said = plugd("-c", bench.config(broker=nowhere, neso=nowhere), "check")
     assert said.status == 1
     found = findings(said)
     assert [what for what, (ok, _) in found.items() if not ok] == ["broker", "plug", "forecast", "disk"]
-    assert f"127.0.0.1:{nowhere}" in found["broker"][1]
+    assert f"127.0.0.1:{nowhere} refuses the connection" in found["broker"][1]
     assert "is it running, and is [broker] right?" in found["broker"][1]
     assert found["plug"][1] == "cannot be asked without the broker; mend that first"
     assert "check forecast.base_url" in found["forecast"][1]
@@ -402,6 +407,26 @@ def test_the_plug_by_hand(plugd: Shell, bench: Bench) -> None:
     off = plugd("-c", config, "plug", "off")
     assert off.out.startswith("off, ")
     assert bench.relay() == ["on", "off"]
+
+
+def test_a_charger_is_told_amperes_and_a_plug_is_not(plugd: Shell, bench: Bench) -> None:
+    answer = plugd("-c", bench.config(), "plug", "amps", "8")
+    assert answer.status == 2
+    assert "knows on and off only" in answer.line
+    at = f"{bench.broker.host}:{bench.broker.port}"
+    options = ("--dialect", "openevse", "--topic", "evse", "--tele-period", "1", "--stdin")
+    stub = bench.left.enter_context(Program("plugd_hil.plug", "--broker", at, *options))
+    stub.said.until(lambda line: line.get("ready"))
+    config = bench.config(topic="evse", kind="openevse")
+    assert plugd("-c", config, "plug", "amps", "8").out.startswith("on, 1840 W, ")
+    for amps in ("5", "11", "400"):
+        answer = plugd("-c", config, "plug", "amps", amps)
+        assert answer.status == 1
+        assert "from 6 to 10 A, or nothing" in answer.line
+    assert plugd("-c", config, "plug", "amps", "0").out.startswith("off, ")
+    shown = plugd("-c", config, "check")
+    assert shown.status == 0
+    assert "no timer of its own" in findings(shown)["plug"][1]
 
 
 def test_beside_a_running_daemon_a_switch_is_a_press_and_a_click_is_refused(plugd: Shell, bench: Bench) -> None:

@@ -35,12 +35,16 @@ from plugd_hil.account import Night, foresight, nights, per_kwh, read_ledger, un
 from plugd_hil.broker import HOST, BrokerProcess, any_broker
 from plugd_hil.children import Children
 from plugd_hil.conductor import Conductor
+from plugd_hil.plug import DIALECTS
 from plugd_hil.synthetic import synthetic_year
 
 POWER_KW = 2.3
 SOC_START = 0.5
 SYNTHETIC = "synthetic"
 MOST_DAYS = 366
+
+TELLING = dict.fromkeys(("openevse", "mqtt", "shelly1", "esphome"), ("--tele-period", "60"))
+"""Half as often as they are shipped: the week is sooner over, and a reading may be a minute old."""
 
 CONFIG = """
 name = "ev"
@@ -51,14 +55,27 @@ port = {broker_port}
 kind = "{plug}"
 topic = "ev-plug"
 power_kw = {power_kw}
-[car]
-{soc_topic}
+{more}
 [forecast]
 base_url = "http://{host}:{neso_port}"
 [state]
 dir = "{state}"
 [web]
 enabled = false
+"""
+
+
+CAN = "can_elcon"
+CAN_PERIOD_S = 2.0
+"""Half as often as on a real bus, for a demo twice as fast: every second is a turn of everybody's."""
+CAN_CONFIG = """
+[can]
+interface = "slcan"
+channel = "{channel}"
+max_voltage_v = 405
+max_current_a = 12
+period_s = {period_s}
+{soc}
 """
 
 
@@ -219,11 +236,13 @@ def _simulate(
             "neso", "plugd_hil.neso", "--source", options.source, "--seed", str(options.seed), "--clock", clock,
             says=True,
         )  # fmt: skip
-        children.start(
-            "plug", "plugd_hil.plug", "--dialect", options.plug, "--broker", f"{HOST}:{broker.port}",
-            "--topic", "ev-plug", "--power", str(POWER_KW), "--soc", str(100 * SOC_START), "--car", "driver",
-            "--seed", str(options.seed), "--clock", clock, "--ledger", str(ledger),
-            "--soc-topic", "car/soc", "--tell", options.soc, says=True,
+        stub = ("plugd_hil.can_elcon", "--period", str(CAN_PERIOD_S)) if options.plug == CAN else (
+            "plugd_hil.plug", "--dialect", options.plug, "--broker", f"{HOST}:{broker.port}", "--topic", "ev-plug",
+            "--soc-topic", "car/soc", *TELLING.get(options.plug, ()),
+        )  # fmt: skip
+        plug = children.start(
+            "plug", *stub, "--power", str(POWER_KW), "--soc", str(100 * SOC_START), "--car", "driver",
+            "--seed", str(options.seed), "--clock", clock, "--ledger", str(ledger), "--tell", options.soc, says=True,
         )  # fmt: skip
         config = folder / "plugd.toml"
         config.write_text(
@@ -234,7 +253,7 @@ def _simulate(
                 power_kw=POWER_KW,
                 neso_port=neso["port"],
                 state=state,
-                soc_topic='soc_topic = "car/soc"' if options.soc == "arrival" else "",
+                more=_plug_config(options, plug),
             ),
             encoding="utf-8",
         )
@@ -246,6 +265,16 @@ def _simulate(
         children.running["plug"].terminate()
         conductor.dismiss("plug", lambda: children.ended("plug"))
     return ledger, state
+
+
+def _plug_config(options: Options, plug: dict[str, object]) -> str:
+    """What the configuration says of the plug's way to plugd, and of who tells the SOC."""
+    told = options.soc == "arrival"
+    if options.plug == CAN:  # there the battery tells it on the bus
+        return CAN_CONFIG.format(
+            channel=plug["channel"], period_s=CAN_PERIOD_S, soc='soc = "pylontech"' if told else ""
+        )
+    return '[car]\nsoc_topic = "car/soc"' if told else ""
 
 
 def _let_pass(
@@ -329,7 +358,7 @@ def _parsed(arguments: Sequence[str] | None) -> Options:
     parser.add_argument("--from", dest="start", metavar="DATE", help="first day; it starts at local noon")
     parser.add_argument("--seed", type=int, default=0, help="another driver, other forecast errors")
     parser.add_argument("--source", default=SYNTHETIC, metavar="synthetic|FILE", help="whose intensity")
-    parser.add_argument("--plug", default="tasmota", choices=("tasmota",), help="which dialect the plug speaks")
+    parser.add_argument("--plug", default="tasmota", choices=(*DIALECTS, CAN), help="which dialect the plug speaks")
     parser.add_argument("--soc", default="arrival", choices=("arrival", "never"), help="when the car tells its SOC")
     parser.add_argument("--json", action="store_true", help="one JSON document, and nothing else")
     asked = parser.parse_args(arguments)

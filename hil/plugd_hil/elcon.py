@@ -6,6 +6,7 @@ Frames are packed by hand from the vendor's table, and not by plugd's own DBC: e
 import struct
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
+from typing import Self
 
 import can
 
@@ -73,6 +74,11 @@ class ElconCharger:
         self._next = self.now + timedelta(seconds=self.rating.period_s)
 
     @property
+    def board(self) -> Self:
+        """Relay, meter and time are its own."""
+        return self
+
+    @property
     def on(self) -> bool:
         """Whether it gives a current."""
         return self.current_a > 0.0
@@ -110,10 +116,11 @@ class ElconCharger:
             self.total_kwh += self.car.take(offered_kw, hours(to - self.now))
         self.now = to
 
-    def load_changed(self) -> None:
-        """The car came or went."""
+    def load_changed(self) -> list[can.Message]:
+        """The car came or went; it says so with its next words."""
         self._tellings = TELLINGS if self.car.connected else 0
         self._regulate()
+        return []
 
     def _silence_s(self) -> float:
         return float("inf") if self._command_at is None else (self.now - self._command_at).total_seconds()

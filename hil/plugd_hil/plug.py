@@ -1,7 +1,7 @@
 """The stub plug: a program that a broker, and plugd, cannot tell from a real plug with a car behind it.
 
 It sends nothing that a real one would not. With `--stdin` it takes orders from the world, one a line:
-press · cut [SECONDS] · mute · unmute · car arrive · car leave · soc PERCENT; it ends when stdin closes.
+press · cut [SECONDS] · mute · unmute · jam · unjam · car arrive · car leave · soc PERCENT; it ends when stdin closes.
 """
 
 import argparse
@@ -10,6 +10,7 @@ import signal
 import sys
 import threading
 from collections import deque
+from collections.abc import Callable
 from contextlib import ExitStack
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -22,7 +23,11 @@ from plugd.study.world import Battery, Driver
 from plugd.units import HALF_HOUR, from_pct, next_slot, require_utc, to_pct
 from plugd_hil.car import CarAtHome
 from plugd_hil.conductor import Participant
+from plugd_hil.openevse import OpenEvseCharger
 from plugd_hil.outlet import Said
+from plugd_hil.plain import HABITS, PlainPlug
+from plugd_hil.shelly2 import Shelly2Plug
+from plugd_hil.socket import Plug
 from plugd_hil.tasmota import TasmotaPlug
 
 BROKER_PATIENCE_S = 10.0
@@ -31,57 +36,55 @@ BROKER_PATIENCE_S = 10.0
 class Scene:
     """The plug, the car, and the truth about both, written down."""
 
-    def __init__(
-        self, plug: TasmotaPlug, car: CarAtHome, ledger: TextIO | None = None, soc_topic: str | None = None
-    ) -> None:
+    def __init__(self, plug: Plug, car: CarAtHome, ledger: TextIO | None = None, soc_topic: str | None = None) -> None:
         """With a `soc_topic` the car tells its SOC there when it arrives."""
         self.plug = plug
         self.car = car
         self._ledger = ledger
         self._soc_topic = soc_topic
-        self._on = plug.on
-        self._boundary = next_slot(plug.now)
+        self._on = plug.board.on
+        self._boundary = next_slot(plug.board.now)
         self.note("start")
 
     def due(self) -> datetime:
         """When something happens next."""
-        moments = self.plug.due(), self.car.due(), self._boundary
+        moments = self.plug.board.due(), self.car.due(), self._boundary
         return min(moment for moment in moments if moment is not None)
 
     def advance(self, to: datetime) -> list[Said]:
         """Let time pass up to `to`, one event after the other, each at its own moment."""
         said: list[Said] = []
         while (due := self.due()) <= to:
-            said += self.watch(self.plug.advance(due))
+            said += self.watch(self.plug.board.advance(due))
             if self.car.due() == due:
                 said += self.leave() if self.car.connected else self.arrive()
             if due == self._boundary:
                 self._boundary += HALF_HOUR
                 self.note("slot")
-        return said + self.watch(self.plug.advance(to))
+        return said + self.watch(self.plug.board.advance(to))
 
     def watch(self, said: list[Said]) -> list[Said]:
         """Writes down when the relay has moved."""
-        if self.plug.on is not self._on:
-            self._on = self.plug.on
+        if self.plug.board.on is not self._on:
+            self._on = self.plug.board.on
             self.note("on" if self._on else "off")
         return said
 
     def arrive(self) -> list[Said]:
         """The car is plugged in, and tells its SOC where it can."""
         self.car.arrive()
-        self.plug.load_changed()
+        said = self.plug.load_changed()
         self.note("arrive")
         percent = to_pct(self.car.battery.soc)
-        return [Said(self._soc_topic, f"{percent:.1f}", qos=1)] if self._soc_topic else []
+        return [*said, *([Said(self._soc_topic, f"{percent:.1f}", qos=1)] if self._soc_topic else [])]
 
     def leave(self) -> list[Said]:
         """The car is unplugged, and driven: what it uses is gone from the next line on."""
         self.car.leave()
-        self.plug.load_changed()
+        said = self.plug.load_changed()
         self.note("leave")
         self.car.drive()
-        return []
+        return said
 
     def told(self, line: str) -> list[Said]:
         """An order from the world. Raises ValueError for one that it does not know."""
@@ -92,14 +95,17 @@ class Scene:
                 return self.watch(self.plug.cut(timedelta(seconds=float(seconds[0]) if seconds else 5.0)))
             case ["mute" | "unmute" as word]:
                 self.plug.muted = word == "mute"
+            case ["jam" | "unjam" as word]:
+                self.plug.board.jammed = word == "jam"
             case ["car", "arrive"]:
                 return self.arrive()
             case ["car", "leave"]:
                 return self.leave()
             case ["soc", percent]:
                 self.car.battery.energy_kwh = from_pct(float(percent)) * self.car.battery.capacity_kwh
-                self.plug.load_changed()
+                said = self.plug.load_changed()
                 self.note("soc")
+                return said
             case _:
                 raise ValueError(f"stub plug: {line.strip()!r} is no order")
         return []
@@ -109,8 +115,8 @@ class Scene:
         if self._ledger is None:
             return
         line = {
-            "at": self.plug.now.isoformat(), "event": event, "soc": self.car.battery.soc,
-            "energy_kwh": self.plug.total_kwh, "on": self.plug.on, "connected": self.car.connected, **more,
+            "at": self.plug.board.now.isoformat(), "event": event, "soc": self.car.battery.soc,
+            "energy_kwh": self.plug.board.total_kwh, "on": self.plug.board.on, "connected": self.car.connected, **more,
         }  # fmt: skip
         print(json.dumps(line), file=self._ledger, flush=True)
 
@@ -156,7 +162,7 @@ class Desk:
 def parser() -> argparse.ArgumentParser:
     """The command line."""
     p = argparse.ArgumentParser(prog="plugd_hil.plug", description=__doc__)
-    p.add_argument("--dialect", choices=("tasmota",), default="tasmota")
+    p.add_argument("--dialect", choices=DIALECTS, default="tasmota")
     p.add_argument("--broker", default="127.0.0.1:1883", metavar="HOST:PORT")
     p.add_argument("--topic", default="ev-plug")
     p.add_argument("--power", type=float, default=2.3, metavar="KW", help="what the socket gives")
@@ -172,9 +178,47 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--ledger", type=Path, metavar="FILE", help="the truth, as JSON lines")
     p.add_argument("--soc-topic", metavar="TOPIC")
     p.add_argument("--tell", choices=("arrival", "never"), default="never", help="when the car tells its SOC")
-    p.add_argument("--tele-period", type=int, default=300, metavar="S")
+    p.add_argument("--tele-period", type=int, metavar="S", help="default: as the device is shipped")
     p.add_argument("--stdin", action="store_true", help="take orders from stdin, and end with it")
     return p
+
+
+def _tasmota(options: argparse.Namespace, car: CarAtHome, now: datetime) -> Plug:
+    return TasmotaPlug(
+        options.topic, car, now,
+        power_kw=options.power, on=options.on, timezone=options.timezone, seed=options.seed,
+        tele_period_s=options.tele_period or 300,
+    )  # fmt: skip
+
+
+def _shelly2(options: argparse.Namespace, car: CarAtHome, now: datetime) -> Plug:
+    return Shelly2Plug(
+        options.topic, car, now,
+        power_kw=options.power, on=options.on, timezone=options.timezone,
+        energy_period_s=options.tele_period or 60,
+    )  # fmt: skip
+
+
+def _openevse(options: argparse.Namespace, car: CarAtHome, now: datetime) -> Plug:
+    return OpenEvseCharger(
+        options.topic, car, now,
+        power_kw=options.power, on=options.on, timezone=options.timezone, period_s=options.tele_period or 30,
+    )  # fmt: skip
+
+
+def _plain(options: argparse.Namespace, car: CarAtHome, now: datetime) -> Plug:
+    return PlainPlug(
+        options.dialect, options.topic, car, now,
+        power_kw=options.power, on=options.on, timezone=options.timezone, period_s=options.tele_period,
+    )  # fmt: skip
+
+
+DIALECTS: dict[str, Callable[[argparse.Namespace, CarAtHome, datetime], Plug]] = {
+    "tasmota": _tasmota,
+    "shelly2": _shelly2,
+    "openevse": _openevse,
+    **dict.fromkeys(HABITS, _plain),
+}
 
 
 def scene(options: argparse.Namespace, now: datetime, ledger: TextIO | None) -> Scene:
@@ -188,11 +232,7 @@ def scene(options: argparse.Namespace, now: datetime, ledger: TextIO | None) -> 
     driver = Driver(timezone=options.timezone, seed=options.seed)
     stays = driver.stays(start) if options.car == "driver" else None
     car = CarAtHome(battery, options.car == "connected", stays, start)
-    plug = TasmotaPlug(
-        options.topic, car, now,
-        power_kw=options.power, on=options.on, timezone=options.timezone, seed=options.seed,
-        tele_period_s=options.tele_period,
-    )  # fmt: skip
+    plug = DIALECTS[options.dialect](options, car, now)
     return Scene(plug, car, ledger, options.soc_topic if options.tell == "arrival" else None)
 
 
@@ -205,11 +245,12 @@ def run(options: argparse.Namespace, clock: SystemClock | Participant, left: Exi
     """Until SIGTERM, or the end of stdin."""
     ledger = left.enter_context(options.ledger.open("w", encoding="utf-8")) if options.ledger else None
     host, port = _address(options.broker)
-    will = f"tele/{options.topic}/LWT"
+    world = scene(options, clock.now(), ledger)
+    will = world.plug.will
     connection = MqttConnection(
-        Broker(host, port), f"DVES_{options.topic}", will=(will, b"Offline"), retry_s=(1.0, 10.0)
+        Broker(host, port), f"DVES_{options.topic}", will=(will.topic, will.payload.encode()), retry_s=(1.0, 10.0)
     )
-    desk = Desk(connection, connection.subscribe((f"cmnd/{options.topic}/+", Retained.REPLAYED)))
+    desk = Desk(connection, connection.subscribe(*((topic, Retained.REPLAYED) for topic in world.plug.listens)))
     for signum in (signal.SIGTERM, signal.SIGINT):
         signal.signal(signum, desk.stop)
     connection.start()
@@ -217,7 +258,6 @@ def run(options: argparse.Namespace, clock: SystemClock | Participant, left: Exi
     connection.wait_connected(BROKER_PATIENCE_S)
     if options.stdin:
         threading.Thread(target=desk.read, args=(sys.stdin,), daemon=True).start()
-    world = scene(options, clock.now(), ledger)
     ready: dict[str, Any] = {"ready": connection.connected, "topic": options.topic, "broker": options.broker}
     session = 0
 
@@ -239,7 +279,7 @@ def run(options: argparse.Namespace, clock: SystemClock | Participant, left: Exi
             print(json.dumps(ready), flush=True)
             ready = {}
         clock.wait(world.due(), desk)
-    connection.publish(will, b"Offline", retain=True)
+    connection.publish(will.topic, will.payload.encode(), retain=True)
 
 
 def main() -> int:

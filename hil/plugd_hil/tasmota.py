@@ -13,14 +13,12 @@ from typing import Any
 from zoneinfo import ZoneInfo
 
 from plugd_hil.outlet import Load, Meter, Said
-from plugd_hil.tasmota_documents import pulse_span, sensor_document, state_document
+from plugd_hil.socket import BOOT, WILL_AFTER, Board
+from plugd_hil.tasmota_documents import pulse_left, pulse_span, sensor_document, state_document
 
-BOOT = timedelta(seconds=3)
-"""From power to the broker."""
 FIRST_TELEMETRY = timedelta(seconds=5)
-WILL_AFTER = timedelta(seconds=45)
-"""A broker notices a silent client after one and a half keep-alives of 30 s."""
 BACKLOG_STEP = timedelta(milliseconds=200)
+NO_OTHERS, WORDS = [0] * 7, ("OFF", "ON")
 STATES = {"0": 0, "OFF": 0, "FALSE": 0, "1": 1, "ON": 1, "TRUE": 1, "2": 2, "TOGGLE": 2}
 ALWAYS_ON, INVERTED_PULSE = 4, 5
 
@@ -53,7 +51,7 @@ class TasmotaPlug:
         self._saved_on = on
         self._power_on_state = 3
         self._pulse = 0
-        self._locked = False
+        self.jammed = False
         self._tele_period_s = tele_period_s
         self._power_delta = power_delta
         self._up = True
@@ -61,6 +59,21 @@ class TasmotaPlug:
         self._told_boot = False
         self._queue: deque[tuple[datetime, str]] = deque()
         self._timers: dict[Callable[[], list[Said]], datetime] = {}
+
+    @property
+    def board(self) -> Board:
+        """It is its own."""
+        return self
+
+    @property
+    def listens(self) -> tuple[str, ...]:
+        """Its commands."""
+        return (f"cmnd/{self.topic}/+",)
+
+    @property
+    def will(self) -> Said:
+        """Its last will."""
+        return Said(f"tele/{self.topic}/LWT", "Offline", retain=True)
 
     @property
     def now(self) -> datetime:
@@ -128,11 +141,8 @@ class TasmotaPlug:
         self._queue.clear()
         self._timers.clear()
         self._after(length, self._powered)
-        self._after(min(WILL_AFTER, length + BOOT), self._will)
+        self._after(min(WILL_AFTER, length + BOOT), lambda: [self.will])
         return []
-
-    def _will(self) -> list[Said]:
-        return [Said(f"tele/{self.topic}/LWT", "Offline", retain=True)]
 
     def _powered(self) -> list[Said]:
         self._booted, self._told_boot = self.now, False
@@ -150,7 +160,7 @@ class TasmotaPlug:
     # -- the relay --------------------------------------------------------------------------------
 
     def _switch(self, on: bool) -> list[Said]:
-        if not self._locked:
+        if not self.jammed:
             self.on = on or self._power_on_state == ALWAYS_ON
         counting = not self.on if self._power_on_state == INVERTED_PULSE else self.on
         self._after(pulse_span(self._pulse) if counting and self._pulse else None, self._pulse_over)
@@ -160,11 +170,11 @@ class TasmotaPlug:
     def _pulse_over(self) -> list[Said]:
         return self._switch(self._power_on_state == INVERTED_PULSE)
 
-    def load_changed(self) -> None:
+    def load_changed(self) -> list[Said]:
         """Power that differs from the last report by PowerDelta is told in 2 to 5 s; off is not told."""
         meter, draws_kw = self._meter, self._draws_kw()
         until = meter.load.steady_until(self.now, meter.power_kw) if self.on else None
-        self._after(until - self.now if until else None, self._look_again)
+        self._after(until - self.now if until else None, self.load_changed)
         if not self.on:
             self._reported_kw = 0.0
         least_kw = max(min(draws_kw, self._reported_kw), 0.001)
@@ -173,16 +183,12 @@ class TasmotaPlug:
             self._after(None, self._report)
         elif self._report not in self._timers:
             self._after(timedelta(seconds=self._dice.uniform(2.0, 5.0)), self._report)
-
-    def _look_again(self) -> list[Said]:
-        self.load_changed()
         return []
 
     def _report(self) -> list[Said]:
-        delta_w = round(1000.0 * (self._draws_kw() - self._reported_kw))
-        self._reported_kw = self._draws_kw()
-        said = self._say("tele", "MARGINS", {"MARGINS": {"PowerDelta": delta_w}})
-        return said + self._say("tele", "SENSOR", self._sensors())
+        before_kw, self._reported_kw = self._reported_kw, self._draws_kw()
+        margins = {"MARGINS": {"PowerDelta": round(1000.0 * (self._reported_kw - before_kw))}}
+        return self._say("tele", "MARGINS", margins) + self._say("tele", "SENSOR", self._sensors())
 
     def _draws_kw(self) -> float:
         return self._meter.load.draws_kw(self._meter.power_kw) if self.on else 0.0
@@ -199,8 +205,7 @@ class TasmotaPlug:
         return self._say("stat", "RESULT", said)
 
     def _show(self) -> list[Said]:
-        word = "ON" if self.on else "OFF"
-        return self._result(POWER=word) + self._say("stat", "POWER", word)
+        return self._result(POWER=WORDS[self.on]) + self._say("stat", "POWER", WORDS[self.on])
 
     def _telemetry(self) -> list[Said]:
         self._after(timedelta(seconds=self._tele_period_s), self._telemetry)
@@ -265,13 +270,10 @@ class TasmotaPlug:
         if payload.isdigit() and int(payload) < 65536:
             self._pulse = int(payload)
             self._after(pulse_span(self._pulse) if self._pulse else None, self._pulse_over)
-        at = self._timers.get(self._pulse_over)
-        left_s = (at - self.now).total_seconds() if at else 0.0
-        left = int(left_s) + 100 if left_s > 11.1 else int(10.0 * left_s)
+        left = pulse_left(self._timers.get(self._pulse_over, self.now) - self.now)
         if index or payload:
             return self._result(PulseTime1={"Set": self._pulse, "Remaining": left})
-        none = [0] * 7
-        return self._result(PulseTime={"Set": [self._pulse, *none], "Remaining": [left, *none]})
+        return self._result(PulseTime={"Set": [self._pulse, *NO_OTHERS], "Remaining": [left, *NO_OTHERS]})
 
     def _cmnd_power_on_state(self, _index: str, payload: str) -> list[Said]:
         said: list[Said] = []
@@ -294,5 +296,5 @@ class TasmotaPlug:
 
     def _cmnd_power_lock(self, _index: str, payload: str) -> list[Said]:
         if payload in ("0", "1"):
-            self._locked = payload == "1"
-        return self._result(PowerLock1=str(int(self._locked)))
+            self.jammed = payload == "1"
+        return self._result(PowerLock1=str(int(self.jammed)))

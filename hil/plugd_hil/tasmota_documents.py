@@ -14,6 +14,12 @@ def pulse_span(pulse: int) -> timedelta:
     return timedelta(seconds=pulse - 100) if pulse > 111 else timedelta(milliseconds=100 * pulse)
 
 
+def pulse_left(left: timedelta) -> int:
+    """What is left of it, as it is told."""
+    left_s = left.total_seconds()
+    return int(left_s) + 100 if left_s > 11.1 else int(10.0 * left_s)
+
+
 def local(moment: datetime) -> str:
     """As the firmware writes it."""
     return moment.strftime("%Y-%m-%dT%H:%M:%S")

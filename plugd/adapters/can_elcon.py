@@ -111,10 +111,7 @@ class CanElcon:
 
     def read(self) -> Reading:
         """How it is now, at the plug; waits for its first word. Raises PlugTimeout where there is none any more."""
-        self._listen()
-        if not self._fresh() and not self._silent:
-            self._wait(self._fresh)
-        self._silent = not self._fresh()
+        self._hear_first()
         charger, last = self._charger, self._charger.last
         if self._silent or last is None:
             raise self._silence()
@@ -141,9 +138,9 @@ class CanElcon:
         least_kw, most_kw = self._capability.power_min_kw, self._capability.power_max_kw
         if power_kw > most_kw + 1e-6 or 0.0 < power_kw < least_kw - 1e-6:
             raise PlugRefused(f"the charger gives 0 or {least_kw:g} to {most_kw:g} kW, not {power_kw:g}")
+        self._hear_first()  # its voltage, which makes a current of a power
         renewed = power_kw == self._wanted_kw and self._clock.now() < self._until
         self._wanted_kw, self._until = power_kw, until
-        self._listen()
         words = self._charger.words
         if renewed and self._objection(power_kw, -1) is None:
             return
@@ -227,6 +224,13 @@ class CanElcon:
                     self._other_s = now_s
             elif self._soc is not None and self._soc.absorb(message, now_s):
                 self._soc_at = now
+
+    def _hear_first(self) -> None:
+        """Listen; where nothing was heard for a while, and it was not yet waited for in vain, wait for a word."""
+        self._listen()
+        if not self._fresh() and not self._silent:
+            self._wait(self._fresh)
+        self._silent = not self._fresh()
 
     def _told_soc(self) -> float | None:
         """What the battery itself last said, if that is not too long ago."""

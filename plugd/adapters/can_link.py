@@ -20,10 +20,10 @@ MOST_FRAMES = 200
 """Read at once. A bus that brings more a second is babbling; what is left is read the next time, or lost."""
 MOST_ERRORS = 20
 """Unreadable frames at once that are noise; more are a bus that does not work."""
-NOTHINGS = 8
+NOTHINGS = 4
 """A serial adapter confirms every command on a line of its own, which python-can takes for nothing to read."""
 REOPEN_S = (1.0, 2.0, 5.0, 15.0, 60.0)
-DEAD_S = 60.0
+DEAD_S = 300.0
 """After so long without a single frame the bus is opened anew: an adapter may have been replugged."""
 SEND_S = 0.2
 FLUSH_S = 1.0
@@ -145,7 +145,7 @@ class CanLink:
         if heard:
             self._heard_s = now_s
         elif now_s - self._heard_s > DEAD_S and self._bus is not None:
-            self._lost(None)
+            self._shut()
 
     # -- the bus ----------------------------------------------------------------------------------
 
@@ -170,12 +170,14 @@ class CanLink:
             with suppress(*_BROKEN):
                 self._bus.flush()
 
-    def _lost(self, error: Exception | None) -> None:
+    def _lost(self, error: Exception) -> None:
         """Close, and try again after a pause that grows."""
         self._failures += 1
         self._again_s = self._clock.monotonic() + REOPEN_S[min(self._failures, len(REOPEN_S)) - 1]
-        if error is not None:
-            self.trouble = self._told(error)
+        self.trouble = self._told(error)
+        self._shut()
+
+    def _shut(self) -> None:
         bus, self._bus = self._bus, None
         if bus is not None:
             with suppress(*_BROKEN):
@@ -213,11 +215,8 @@ class CanLink:
 
     def close(self) -> None:
         """Leave the bus."""
-        bus, self._bus = self._bus, None
         self._again_s = float("inf")
-        if bus is not None:
-            with suppress(*_BROKEN):
-                bus.shutdown()
+        self._shut()
 
 
 def _number(error: BaseException | None) -> int | None:

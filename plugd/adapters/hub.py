@@ -1,142 +1,37 @@
 """The hub over MQTT: commands in, state, plan and answers out (topics under `plugd/<name>`)."""
 
 import json
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import datetime, timedelta
 from typing import Any
 from zoneinfo import ZoneInfo
 
-from plugd import __version__, soc
+from plugd import __version__, reasons, soc
+from plugd.adapters import homeassistant
 from plugd.adapters.mqtt import Message, MqttConnection, Retained
+from plugd.command_words import MAX_BYTES, WEEKDAYS, NoSuchKey, NotKnown, Refused, car_soc, parse
 from plugd.domain import (
     Answer,
     Command,
+    DayRule,
     Decision,
+    Fault,
     Household,
-    Mode,
     Outlook,
+    Overrides,
     Reading,
-    Replan,
-    SetConnected,
-    SetHorizon,
-    SetMinimum,
-    SetMode,
-    SetReadyBy,
     SetSoc,
     Status,
     Switching,
+    Trip,
 )
-from plugd.units import from_pct, iso, slot_start, to_pct, to_w
+from plugd.units import iso, slot_start, to_pct, to_w
 
-MAX_COMMAND_BYTES = 4096
-
-
-QUOTED = 40
-"""How much of what somebody sent is said back."""
-
-
-class Refused(ValueError):
-    """A command that says nothing plugd can do; the text tells what would be right."""
-
-
-def _quote(text: str) -> str:
-    return repr(text if len(text) <= QUOTED else text[:QUOTED] + "…")
-
-
-def _number(text: str, low: float, high: float, unit: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        raise Refused(f"{_quote(text)} is not a number; send one from {low:g} to {high:g}{unit}") from None
-    if not math.isfinite(value) or not low <= value <= high:
-        raise Refused(f"{value:g} is outside {low:g} to {high:g}{unit}")
-    return value
-
-
-def _percent(text: str) -> float:
-    value = _number(text, 0.0, 100.0, " %")
-    if 0.0 < value < 1.0:
-        raise Refused(f"{value:g} looks like a fraction; send percent, 0 to 100")
-    return from_pct(value)
-
-
-def _mode(text: str) -> Command:
-    try:
-        return SetMode(Mode(text.lower()))
-    except ValueError:
-        raise Refused(f"{_quote(text)} is no mode; send one of {', '.join(Mode)}") from None
-
-
-def _connected(text: str) -> Command:
-    if text.upper() not in ("ON", "OFF"):
-        raise Refused(f"{_quote(text)} is neither ON nor OFF")
-    return SetConnected(text.upper() == "ON")
-
-
-def _ready_by(text: str) -> Command:
-    if not text:
-        return SetReadyBy(None)
-    try:
-        return SetReadyBy(datetime.strptime(text, "%H:%M").time())  # noqa: DTZ007 # a clock time, of any day
-    except ValueError:
-        raise Refused(f"{_quote(text)} is no time; send HH:MM, or nothing for the configured one") from None
-
-
-def _horizon(text: str) -> Command:
-    value = _number(text, 1, 7, " nights")
-    if value != int(value):
-        raise Refused(f"{value:g} is not a whole number of nights")
-    return SetHorizon(int(value))
-
-
-def _replan(text: str) -> Command:
-    if text != "PRESS":
-        raise Refused(f"{_quote(text)} is not PRESS")
-    return Replan()
-
-
-PARSERS: dict[str, Callable[[str], Command]] = {
-    "mode": _mode,
-    "soc": lambda text: SetSoc(_percent(text)),
-    "minimum": lambda text: SetMinimum(_percent(text)),
-    "connected": _connected,
-    "ready_by": _ready_by,
-    "horizon": _horizon,
-    "replan": _replan,
-}
-
-
-def parse(name: str, payload: bytes) -> Command:
-    """The command in a payload. Raises Refused, whose text goes back to the sender."""
-    if name not in PARSERS:
-        raise Refused(f"there is no command {_quote(name)}; there are {', '.join(PARSERS)}")
-    if len(payload) > MAX_COMMAND_BYTES:
-        raise Refused(f"{len(payload)} bytes are too many; at most {MAX_COMMAND_BYTES}")
-    try:
-        text = payload.decode("utf-8").strip()
-    except UnicodeDecodeError:
-        raise Refused("the payload is not UTF-8 text") from None
-    return PARSERS[name](text)
-
-
-def car_soc(payload: bytes, json_key: str | None) -> float:
-    """The SOC in a message of the car's own topic, as a fraction. Raises Refused."""
-    if len(payload) > MAX_COMMAND_BYTES:
-        raise Refused("the car's message is too long")
-    try:
-        text = payload.decode("utf-8").strip()
-        if json_key is None:
-            return _percent(text)
-        value = json.loads(text)
-        for key in json_key.split("."):
-            value = value[key]
-    except (UnicodeDecodeError, ValueError, KeyError, TypeError, IndexError, RecursionError) as error:
-        if isinstance(error, Refused):
-            raise
-        raise Refused(f"the car's message has no number under {json_key or 'it'}") from error
-    return _percent(str(value))
+AGES = ("at", "soc_age_s", "forecast_age_min")
+"""What grows by itself: no reason to tell the state anew."""
+OUTLOOK_SPAN = timedelta(days=7)
+"""How much of the outlook is told: with nights away the last session may be weeks off."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,10 +41,13 @@ class Topics:
     base: str
     soc_topic: str | None = None
     soc_json_key: str | None = None
+    soc_fraction: bool = False
+    discovery_prefix: str | None = None
+    """Where Home Assistant looks; empty: plugd takes back what it once announced; None: it says nothing there."""
 
 
 class MqttHub:
-    """Implements `plugd.ports.Hub`. State and plan are retained and told again after a reconnect."""
+    """Implements `plugd.ports.Hub`. What is retained is told again after a reconnect and on a hub's birth."""
 
     def __init__(self, connection: MqttConnection, topics: Topics, household: Household) -> None:
         self._mqtt = connection
@@ -160,12 +58,24 @@ class MqttHub:
             # A car's state is often published retained: only what the broker had kept is old.
             connection.subscribe((topics.soc_topic, Retained.LIVE)) if topics.soc_topic else None
         )
+        prefix = topics.discovery_prefix
+        self._births = connection.subscribe((f"{prefix}/status", Retained.LIVE)) if prefix else None
+        self._announcement = _announcement(topics, household)
         self._session = -1
         self._told: dict[str, Any] = {}
+        self._car_unheard: Fault | None = None
+        self._car_heard = False
         self.refused = 0
+
+    @property
+    def warnings(self) -> Sequence[Fault]:
+        """What a person should mend at the hub's end, though plugd works."""
+        return (self._car_unheard,) if self._car_unheard else ()
 
     def commands(self) -> Sequence[Command]:
         """What arrived since the last call. Retained messages are old by nature, and never obeyed."""
+        if self._births is not None and any(message.payload == b"online" for message in self._births.take()):
+            self._told = {}  # a hub that starts has heard nothing yet
         found: list[Command] = []
         for message in self._commands.take():
             name = message.topic.split("/")[-2]
@@ -176,18 +86,30 @@ class MqttHub:
                 found.append(parse(name, message.payload))
             except Refused as refusal:
                 self._answer(Answer(name, False, str(refusal)))
+        for topic in self._commands.take_too_long():
+            self._answer(Answer(topic.split("/")[-2], False, f"too many bytes; at most {MAX_BYTES}"))
         found.extend(self._car_says())
         return found
 
     def _car_says(self) -> list[Command]:
+        """The car's last good word. A topic that goes on saying what cannot be its SOC is a fault."""
         messages: tuple[Message, ...] = self._car.take() if self._car else ()
+        wrong: Fault | None = None
         for message in reversed(messages):
             if message.retain:
                 continue
             try:
-                return [SetSoc(car_soc(message.payload, self._topics.soc_json_key), source="car")]
-            except Refused:
+                said = car_soc(message.payload, self._topics.soc_json_key, self._topics.soc_fraction)
+            except Refused as refusal:
+                # A topic may tell of the SOC in some of its messages only; if in none, the key is a wrong one.
+                if isinstance(refusal, NotKnown) and (self._car_heard or not isinstance(refusal, NoSuchKey)):
+                    continue
                 self.refused += 1
+                wrong = wrong or Fault("car_soc", f"{self._topics.soc_topic}: {refusal}; see [car] soc_topic")
+                continue
+            self._car_unheard, self._car_heard = None, True
+            return [SetSoc(said, source="car")]
+        self._car_unheard = wrong or self._car_unheard
         return []
 
     def answer(self, answers: Sequence[Answer]) -> None:
@@ -204,29 +126,40 @@ class MqttHub:
         """Tell what has changed since the last time; everything after a reconnect."""
         if not self._mqtt.connected:
             return
+        base = self._topics.base
         if self._mqtt.session != self._session:
-            session, online = self._mqtt.session, f"{self._topics.base}/availability"
-            if not self._mqtt.publish(online, b"online", qos=1, retain=True):
+            session = self._mqtt.session
+            if not self._mqtt.publish(f"{base}/availability", b"online", qos=1, retain=True):
                 return
             self._session, self._told = session, {}
-        self._tell("plan", planned(decision))
-        self._tell("state", state(decision, reading, self._household))
+        for topic, document in self._announcement:
+            self._tell(topic, document)
+        self._tell(f"{base}/plan", planned(decision))
+        self._tell(f"{base}/outlook", foreseen(decision))
+        self._tell(f"{base}/state", state(decision, reading, self._household))
 
-    def _tell(self, name: str, value: Any) -> None:
-        news = (
-            {k: v for k, v in value.items() if k not in ("at", "soc_age_s", "forecast_age_min")}
-            if isinstance(value, dict)
-            else value
-        )
-        if self._told.get(name) == news:
+    def _tell(self, topic: str, document: Any) -> None:
+        """Where it is news. None is told as nothing at all: the broker forgets the topic."""
+        news = {k: v for k, v in document.items() if k not in AGES} if isinstance(document, dict) else document
+        if topic in self._told and self._told[topic] == news:
             return
-        text = json.dumps(value, allow_nan=False)
-        if self._mqtt.publish(f"{self._topics.base}/{name}", text.encode(), qos=1, retain=True):
-            self._told[name] = news
+        text = "" if document is None else json.dumps(document, allow_nan=False)
+        if self._mqtt.publish(topic, text.encode(), qos=1, retain=True):
+            self._told[topic] = news
 
     def close(self) -> None:
         """Say that nobody is at the wheel any more; the plug's own timer takes over."""
         self._mqtt.publish(f"{self._topics.base}/availability", b"offline", qos=1, retain=True)
+
+
+def _announcement(topics: Topics, household: Household) -> tuple[tuple[str, Any], ...]:
+    """(topic, document) by which Home Assistant gets to know us, or forgets us."""
+    prefix = topics.discovery_prefix
+    if prefix is None:
+        return ()
+    if not prefix:
+        return ((homeassistant.topic(homeassistant.USUAL_PREFIX, topics.base), None),)
+    return ((homeassistant.topic(prefix, topics.base), homeassistant.device(topics.base, household)),)
 
 
 def planned(decision: Decision) -> list[dict[str, Any]]:
@@ -244,9 +177,54 @@ def planned(decision: Decision) -> list[dict[str, Any]]:
     ]
 
 
+def foreseen(decision: Decision) -> list[dict[str, Any]]:
+    """The outlook as hubs read it: the half hours to come, a week at most."""
+    return [
+        {
+            "start": iso(slot.start),
+            "g_per_kwh": round(slot.g_per_kwh, 1),
+            "sd_g_per_kwh": round(slot.sd_g_per_kwh, 1),
+            "source": slot.source.value,
+        }
+        for slot in (decision.outlook.slots if decision.outlook else ())
+        if slot.start < decision.at + OUTLOOK_SPAN
+    ]
+
+
+def _rule(rule: DayRule | Trip) -> dict[str, Any]:
+    """What a trip or a weekday asks, in the words in which it was sent."""
+    asked = {
+        "minimum_pct": None if rule.minimum is None else to_pct(rule.minimum),
+        "ready_by": f"{rule.ready_by:%H:%M}" if rule.ready_by else None,
+        "away": True if rule.away else None,
+    }
+    return {key: value for key, value in asked.items() if value is not None}
+
+
+def settings(overrides: Overrides, household: Household) -> dict[str, Any]:
+    """What is asked of plugd now, by command or configuration; `trips` in order of their days."""
+    nights = household.nights
+    ready_by = overrides.ready_by or nights.ready_by
+    week = nights.week if overrides.week is None else overrides.week
+    return {
+        "minimum_pct": to_pct(nights.minimum if overrides.minimum is None else overrides.minimum),
+        "ready_by": f"{ready_by:%H:%M}" if ready_by else None,
+        "horizon": overrides.horizon or nights.horizon,
+        "week": {WEEKDAYS[day]: _rule(rule) for day, rule in week},
+        "trips": [{"date": trip.day.isoformat(), **_rule(trip)} for trip in overrides.trips],
+    }
+
+
 def _intensity_at(now: datetime, outlook: Outlook | None) -> float | None:
     slots = outlook.slots if outlook else ()
     return next((round(s.g_per_kwh, 1) for s in slots if s.start == slot_start(now)), None)
+
+
+def _power_kw(reading: Reading | None) -> float | None:
+    """What flows now. Through an open relay nothing does, though its meter has not said so yet."""
+    if reading is None or reading.power_kw is not None:
+        return reading.power_kw if reading else None
+    return None if reading.on or reading.energy_kwh is None else 0.0
 
 
 def _forecast_age_min(decision: Decision, issued_at: datetime | None) -> int | None:
@@ -261,7 +239,9 @@ def state(decision: Decision, reading: Reading | None, household: Household) -> 
     orders = memory.orders if isinstance(memory.orders, Switching) and not outranked else None
     start = orders.next(now, True) if orders else None
     stop = orders.next(now, False) if orders else None
+    ends = [slot.end for slot in (tonight.slots if tonight else ()) if slot.power_kw > 0.01 and slot.end > now]
     told_at = memory.soc.told_at
+    power_kw = _power_kw(reading)
     zone = ZoneInfo(household.timezone)
     today = [at for at in memory.switch_ons if at.astimezone(zone).date() == now.astimezone(zone).date()]
     outlook = decision.outlook
@@ -275,18 +255,23 @@ def state(decision: Decision, reading: Reading | None, household: Household) -> 
         "soc_pct": to_pct(memory.soc.mean),
         "soc_low_pct": to_pct(soc.cautious(memory.soc)),
         "soc_age_s": None if told_at is None else int((now - told_at).total_seconds()),
+        "soc_told_at": iso(told_at) if told_at else None,
         "soc_source": memory.soc.source,
         "connected": memory.presence.connected,
-        "power_w": None if reading is None or reading.power_kw is None else to_w(reading.power_kw),
+        "power_w": None if power_kw is None else to_w(power_kw),
+        "charging": None if power_kw is None else power_kw >= soc.FLOWING_KW,
         "energy_kwh": None if reading is None else reading.energy_kwh,
         "intensity_g_per_kwh": _intensity_at(now, outlook),
         "next_start": iso(start) if start else None,
         "next_stop": iso(stop) if stop else None,
+        "ready_at": iso(max(ends)) if ends and not outranked else None,
         "ready_by": iso(tonight.session.end) if tonight else None,
         # The plan is made on the cautious SOC; what is to be expected is as much higher as the mean is now.
         "morning_soc_pct": to_pct(min(1.0, tonight.soc_end + doubt)) if tonight else None,
         "minimum_pct": to_pct(tonight.session.minimum) if tonight else None,
         "shortfall_kwh": round(tonight.shortfall_kwh, 3) if tonight else None,
+        "at_risk": reasons.at_risk(now, memory, household, decision.faults),
+        "settings": settings(memory.overrides, household),
         "saved_g_today": None,
         "saved_g_total": None,
         "switch_ons_today": len(today),

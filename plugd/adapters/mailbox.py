@@ -10,6 +10,8 @@ from typing import Protocol
 MAX_PAYLOAD_BYTES = 4 * 1024
 """What is looked at: nothing that plugd understands is longer."""
 MAX_MESSAGES = 512
+MAX_TOO_LONG = 64
+"""How many topics of messages that were too long are remembered for whoever answers them."""
 
 
 class Retained(Enum):
@@ -85,11 +87,13 @@ class Mailbox:
         """How many messages were too long, or too many."""
         self._line = line
         self._messages: deque[Message] = deque()
+        self._too_long: deque[str] = deque(maxlen=MAX_TOO_LONG)
 
     def put(self, message: Message) -> None:
         """Called by the network thread."""
         if len(message.payload) > MAX_PAYLOAD_BYTES:
             self.dropped += 1
+            self._too_long.append(message.topic)
             return
         if len(self._messages) >= MAX_MESSAGES:
             self._messages.popleft()
@@ -101,6 +105,13 @@ class Mailbox:
         taken = []
         while self._messages:
             taken.append(self._messages.popleft())
+        return tuple(taken)
+
+    def take_too_long(self) -> tuple[str, ...]:
+        """The topics of messages that were dropped for their length since the last call. They end no wait."""
+        taken = []
+        while self._too_long:
+            taken.append(self._too_long.popleft())
         return tuple(taken)
 
     def pending(self) -> bool:

@@ -28,11 +28,14 @@ from plugd.adapters.mqtt_client import (
     objection,
     refusal,
     subscribe,
+    trouble,
 )
 
 __all__ = ["Broker", "Mailbox", "Message", "MqttConnection", "Retained"]
 
 FLUSH_S = 2.0
+MOST_ACKS = 64
+"""More than may be under way at once."""
 ANSWER_S = 3.0
 """Some brokers say nothing at all to a version that they do not know."""
 
@@ -158,7 +161,7 @@ class MqttConnection:
             try:
                 self._stay()
             except (OSError, ValueError, LookupError, struct.error, MQTTException) as error:
-                self._trouble(f"{self.broker}: {error}")
+                self._trouble(trouble(error, self.broker))
             else:
                 if not self._answered:
                     self._trouble(f"{self.broker} does not answer as an MQTT broker")
@@ -227,6 +230,8 @@ class MqttConnection:
 
     def _on_publish(self, _client: Client, _userdata: Any, mid: int, reason: ReasonCode, _properties: Any) -> None:
         self._acks[mid] = reason
+        while len(self._acks) > MOST_ACKS:  # those of QoS 0 are asked for by nobody
+            del self._acks[next(iter(self._acks))]
         self._judge(mid)
 
     def _judge(self, mid: int) -> None:

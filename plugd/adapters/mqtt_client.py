@@ -1,6 +1,7 @@
 """A paho client as plugd wants it: for one connection, MQTT 5 or 3.1.1, last will, secret, TLS, no delay."""
 
 import socket
+import ssl
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,13 @@ REFUSALS = {
     0x85: "it does not accept our client id",
     0x88: "it is not available now",
 }
+TROUBLES: tuple[tuple[type[Exception], str], ...] = (
+    (ConnectionRefusedError, "refuses the connection: nothing listens there"),
+    (ConnectionResetError, "cuts the connection off"),
+    (socket.gaierror, "is not to be found: no host has this name"),
+    (ssl.SSLError, "does not speak TLS there; see broker.port and broker.tls"),
+    (TimeoutError, "does not answer: is there a firewall, or another address?"),
+)
 
 V5, V311 = MQTTProtocolVersion.MQTTv5, MQTTProtocolVersion.MQTTv311
 
@@ -87,6 +95,18 @@ def subscribe(client: Client, version: MQTTProtocolVersion, filters: dict[str, R
 def refusal(reason: ReasonCode) -> str:
     """Why the broker does not let us in, in words."""
     return f"the broker refuses us: {REFUSALS.get(reason.value, str(reason))}"
+
+
+def trouble(error: Exception, broker: Broker) -> str:
+    """Why no connection can be made, in words for a person."""
+    if isinstance(error, OSError) and error.filename is not None:
+        return f"{error.filename} cannot be read; see broker.password_file and broker.ca_file"
+    if isinstance(error, ssl.SSLCertVerificationError):
+        return f"{broker} has a certificate that is not trusted ({error.verify_message}); see broker.ca_file"
+    for kind, words in TROUBLES:
+        if isinstance(error, kind):
+            return f"{broker} {words}"
+    return f"{broker}: {error}"
 
 
 def objection(reason: ReasonCode) -> str | None:

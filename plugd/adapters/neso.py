@@ -11,7 +11,7 @@ import threading
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import datetime, timedelta
 from http.client import HTTPException
 from urllib.parse import urljoin, urlsplit
 
@@ -19,7 +19,7 @@ import requests
 import urllib3.exceptions as urllib3_errors
 
 from plugd import __version__
-from plugd.adapters.neso_body import NATIONAL, error_message, parse, quotable
+from plugd.adapters.neso_body import NATIONAL, PastRow, error_message, parse, parse_past, quotable
 from plugd.domain import Forecast
 from plugd.errors import ConfigError, ForecastError, ForecastMalformed, ForecastUnavailable
 from plugd.units import iso, slot_start
@@ -28,6 +28,8 @@ MOST_BYTES = 1_000_000
 MOST_REDIRECTS = 2
 REDIRECTS = (301, 302, 303, 307, 308)
 REGION_IDS = range(1, 18)
+LONGEST = timedelta(days=14)
+"""The API answers no longer question about the past."""
 
 _POSTCODE = re.compile(r"([A-Z]{1,2}[0-9][0-9A-Z]?)\s*([0-9][A-Z]{2})?")
 _TRANSPORT = (requests.RequestException, urllib3_errors.HTTPError, HTTPException, OSError, ValueError)
@@ -54,12 +56,12 @@ class Neso:
             if region_id not in REGION_IDS:
                 raise ConfigError(f"home.region_id is {region_id}; NESO's regions are 1 to 17")
             self._region = str(region_id)
-            self._question = f"/regional/intensity/{{}}/fw48h/regionid/{region_id}"
+            self._question = f"/regional/intensity/{{}}/{{}}/regionid/{region_id}"
         elif postcode is not None:
             self._region = outward(postcode)
-            self._question = f"/regional/intensity/{{}}/fw48h/postcode/{self._region}"
+            self._question = f"/regional/intensity/{{}}/{{}}/postcode/{self._region}"
         else:
-            self._region, self._question = NATIONAL, "/intensity/{}/fw48h"
+            self._region, self._question = NATIONAL, "/intensity/{}/{}"
 
     @property
     def region(self) -> str:
@@ -68,8 +70,13 @@ class Neso:
 
     def fetch(self, now: datetime) -> Forecast:
         """The forecast from the half hour under way on. Raises ForecastUnavailable, ForecastMalformed."""
-        begin = slot_start(now).strftime("%Y-%m-%dT%H:%MZ")
-        return parse(self._ask(self._base_url + self._question.format(begin), now), now, self._region)
+        question = self._question.format(_stamp(slot_start(now)), "fw48h")
+        return parse(self._ask(self._base_url + question, now), now, self._region)
+
+    def past(self, start: datetime, end: datetime) -> tuple[PastRow, ...]:
+        """What the API tells of [start, end), at most `LONGEST`. Raises ForecastUnavailable, ForecastMalformed."""
+        question = self._question.format(_stamp(start), _stamp(end))
+        return parse_past(self._ask(self._base_url + question, end), start, end, self._region)
 
     def _ask(self, url: str, now: datetime) -> bytes:
         if self._asking is not None and self._asking.is_alive():
@@ -86,6 +93,10 @@ class Neso:
         if self._asking.is_alive():
             raise _too_slow(url, self._timeout_s)
         raise RuntimeError("the question to NESO ended without an outcome; the lines above say why")
+
+
+def _stamp(moment: datetime) -> str:
+    return f"{moment:%Y-%m-%dT%H:%MZ}"
 
 
 def outward(postcode: str) -> str:

@@ -81,6 +81,32 @@ def parse(body: bytes, now: datetime, region: str) -> Forecast:
     )
 
 
+@dataclass(frozen=True, slots=True)
+class PastRow:
+    """One half hour as the API tells it afterwards: the last forecast, and what was measured (national only)."""
+
+    start: datetime
+    forecast: float | None
+    actual: float | None
+
+
+def parse_past(body: bytes, start: datetime, end: datetime, region: str) -> tuple[PastRow, ...]:
+    """What an answer says about [start, end), one row a half hour, without what is unusable. Raises ForecastMalformed.
+
+    The API may answer from the half hour before `start` on; rows count by their own time.
+    """
+    found = {}
+    for row in _rows_of(_json(body), region):
+        intensity = row.get("intensity") if isinstance(row, dict) else None
+        begin = _moment(row.get("from")) if isinstance(row, dict) else None
+        if not isinstance(intensity, dict) or begin is None or slot_start(begin) != begin:
+            continue
+        forecast, actual = (_g_per_kwh(intensity.get(name)) for name in ("forecast", "actual"))
+        if start <= begin < end and (forecast is not None or actual is not None):
+            found[begin] = PastRow(begin, forecast, actual)
+    return tuple(found[begin] for begin in sorted(found))
+
+
 def error_message(body: bytes) -> str:
     """The message inside an error body, fit to be quoted on one line; "" where there is none."""
     try:

@@ -5,6 +5,8 @@ cut from the next save on. Forecasts are kept as issued for 13 months, packed.
 """
 
 import zlib
+from collections.abc import Iterable
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Self
@@ -38,6 +40,18 @@ MIGRATIONS = (
 
 _MEMORY = TypeAdapter(Memory)
 _RECORD = TypeAdapter(Record)
+
+
+@dataclass(frozen=True, slots=True)
+class Past:
+    """How much is known of a region's intensity: from the first to the last half hour."""
+
+    region: str
+    first: datetime
+    last: datetime
+    known: int
+    measured: int
+    mean_g_per_kwh: float
 
 
 class SqliteStore:
@@ -134,6 +148,24 @@ class SqliteStore:
                 )
             oldest = "SELECT start FROM seen ORDER BY start DESC LIMIT 1 OFFSET ?"
             self._db.execute(f"DELETE FROM seen WHERE start <= ({oldest})", [MOST_SEEN])
+
+    def keep_past(self, region: str, rows: Iterable[tuple[datetime, float | None, float | None]]) -> None:
+        """Keep (start, expected, actual) of half hours long over; what is known already stays. Raises StoreError."""
+        with self._file.writing("NORMAL"):
+            self._db.executemany(
+                "INSERT INTO seen (region, start, expected, actual) VALUES (?, ?, ?, ?) ON CONFLICT DO UPDATE "
+                "SET expected = coalesce(expected, excluded.expected), actual = coalesce(excluded.actual, actual)",
+                [(region, int(_epoch_s(start)), expected, actual) for start, expected, actual in rows],
+            )
+
+    def past(self) -> tuple[Past, ...]:
+        """What is known of the past, a line a region. Raises StoreError."""
+        with self._file.told():
+            rows = self._db.execute(
+                "SELECT region, min(start), max(start), count(*), count(actual), avg(coalesce(actual, expected)) "
+                "FROM seen GROUP BY region ORDER BY region"
+            ).fetchall()
+        return tuple(Past(region, _moment(first), _moment(last), *rest) for region, first, last, *rest in rows)
 
     def latest_forecast(self) -> Forecast | None:
         """The last one kept, None where there is none. Raises StoreError."""

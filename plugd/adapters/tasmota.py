@@ -5,26 +5,18 @@ SetPulseTimer): an OFF that is not repeated ends by itself. PowerOnState must be
 the same timer switches off. Both are flash writes, made only where they differ.
 """
 
-from collections.abc import Callable
 from datetime import datetime, timedelta
 
-from plugd.adapters.mqtt import MqttConnection, Retained
-from plugd.adapters.tasmota_memory import DAWN, PlugMemory
+from plugd.adapters.mqtt import Message, MqttConnection, Retained
+from plugd.adapters.plug_line import CONFIRM_S, CONFIRM_TRIES, PATIENCE_S, TRIES, Commands, PlugLine
+from plugd.adapters.plug_memory import DAWN, PlugMemory
 from plugd.adapters.tasmota_words import hear, pulse_for
 from plugd.domain import Capability, Fault, Reading, Relay, Wanted
-from plugd.errors import PlugFault, PlugRefused, PlugTimeout
+from plugd.errors import PlugFault, PlugRefused
 from plugd.ports import Clock
-from plugd.units import iso
 
-TRIES = 3
-PATIENCE_S = 1.5
-"""How long an answer may take before it is asked for again: three of them are under 5 s."""
-CONFIRM_TRIES = 2
-CONFIRM_S = 2.0
-RENEWALS = 6
-"""OFF is sent this many times in the dead-man's time; five times as often while it stays unanswered."""
 INVERTED_PULSE = 5
-Commands = tuple[tuple[str, str], ...]
+PRESENCE = {b"Online": "Online", b"Offline": "Offline"}
 
 
 class Tasmota:
@@ -39,26 +31,24 @@ class Tasmota:
         dead_man_s: float = 3600.0,
     ) -> None:
         """`topic` is the plug's own (%topic%). Raises ValueError for a dead-man time that it cannot count."""
-        self._mqtt = connection
-        self._clock = clock
         self._topic = topic
         self._capability = Capability(power_max_kw, dead_man=True)
         self._pulse_wanted = pulse_for(dead_man_s)
         self._plug = PlugMemory(dead_man_s)
-        self._mail = connection.subscribe(
+        filters = (
             (f"stat/{topic}/+", Retained.LIVE),
             (f"tele/{topic}/STATE", Retained.LIVE),
             (f"tele/{topic}/SENSOR", Retained.LIVE),
             (f"tele/{topic}/LWT", Retained.REPLAYED),
             (f"cmnd/{topic}/POWER", Retained.WATCHED),
         )
-        self._session = 0
-        self._last_word = "never seen"
+        self._line = PlugLine(connection, clock, f"plug {topic}", filters, self._plug, self._hear, self._returned)
         self._ghost = False
         self._wanted: Relay | None = None
+        self._power_on_state: int | None = None
+        self._pulse: int | None = None
         self._armed_s = DAWN
         self._arm_tries = 0
-        self._silent = False
 
     # -- the port ---------------------------------------------------------------------------------
 
@@ -69,15 +59,7 @@ class Tasmota:
 
     def read(self) -> Reading:
         """The last word on relay and meter; asks where it is older than a minute. Raises PlugTimeout."""
-        self._listen()
-        if not self._fresh():
-            status = (("Status", "11"), ("Status", "8"))
-            self._exchange(status, self._fresh, 1 if self._silent else TRIES, PATIENCE_S)
-        reading = self._plug.reading(self._clock.monotonic())
-        self._silent = reading is None
-        if reading is None:
-            raise self._silence()
-        return reading
+        return self._line.reading(self._status())
 
     def set(self, wanted: Wanted) -> None:
         """Switch, and wait for the plug to say so. Raises PlugRefused, PlugTimeout, PlugFault.
@@ -85,46 +67,45 @@ class Tasmota:
         An OFF with the dead-man is sent only once the plug's timer is known to be right.
         """
         if not isinstance(wanted, Relay):
-            raise PlugRefused(f"plug {self._topic} knows on and off only, not {wanted.power_kw:g} kW")
-        self._listen()
+            raise PlugRefused(f"{self._line.name} knows on and off only, not {wanted.power_kw:g} kW")
+        self._line.listen()
         plug, self._wanted = self._plug, wanted
         plug.held = wanted.held and not wanted.on
         if plug.held:
-            plug.pulse = None  # to be heard anew
+            self._pulse = None  # to be heard anew
         elif not wanted.on:
             self._arm_now()
         answers = plug.answers
 
         def done() -> bool:
-            return plug.answers > answers and plug.on is wanted.on and (not plug.held or plug.pulse == 0)
+            return plug.answers > answers and plug.on is wanted.on and (not plug.held or self._pulse == 0)
 
-        plug.order(wanted.on, self._clock.monotonic())
-        if self._exchange((_command(wanted),), done, CONFIRM_TRIES, CONFIRM_S):
+        plug.order(wanted.on, self._line.now()[1])
+        if self._line.exchange((self._command(wanted),), done, CONFIRM_TRIES, CONFIRM_S):
             return
         if plug.answers > answers and plug.on is not wanted.on:
             state = "ON" if plug.on else "OFF"
-            raise PlugRefused(f"plug {self._topic} answers but stays {state}; is it locked (PowerLock)?")
-        raise self._silence()
+            raise PlugRefused(f"{self._line.name} answers but stays {state}; is it locked (PowerLock)?")
+        raise self._line.silence(self._status())
 
     def due(self) -> datetime | None:
         """When the timer has to be set or an OFF repeated. None while there is nothing or nobody to tell."""
-        moment_s = min(self._arming_s(), self._renewal_s())
-        if self._wanted is None or moment_s == -DAWN or not self._mqtt.connected:
+        if self._wanted is None:
             return None
-        return self._clock.now() + timedelta(seconds=max(moment_s - self._clock.monotonic(), 0.0))
+        return self._line.at(min(self._arming_s(), self._plug.renewal_s(self._wanted)))
 
     def tend(self, now: datetime) -> None:
         """Repeat an OFF, or look after the timer, where due; waits for no answer. Raises PlugTimeout."""
-        self._listen()
+        self._line.listen()
         due = self.due()
         if due is None or now + timedelta(milliseconds=1) < due:
             return
-        by_now_s = self._clock.monotonic() + 0.001
-        if self._arming_s() <= by_now_s:
-            self._send(self._settings())
-        if self._renewal_s() <= by_now_s:
-            self._plug.order(on=False, now_s=self._clock.monotonic())
-            self._send((_command(Relay(on=False)),))
+        now_s = self._line.now()[1]
+        if self._arming_s() <= now_s + 0.001:
+            self._line.send(self._settings())
+        if self._plug.renewal_s(self._wanted) <= now_s + 0.001:
+            self._plug.order(on=False, now_s=now_s)
+            self._line.send((self._command(Relay(on=False)),))
 
     @property
     def warnings(self) -> tuple[Fault, ...]:
@@ -136,7 +117,7 @@ class Tasmota:
             found.append(Fault("plug_retained_command", f"{text}; mosquitto_pub -rnt {command} clears it"))
         if self._arm_tries > TRIES:
             settings = f"PowerOnState {INVERTED_PULSE} and PulseTime {self._target()}"
-            text = f"plug {self._topic} does not keep {settings}; without them it stays off when plugd stops"
+            text = f"{self._line.name} does not keep {settings}; without them it stays off when plugd stops"
             found.append(Fault("plug_dead_man", text))
         return tuple(found)
 
@@ -145,110 +126,86 @@ class Tasmota:
         """How many values it has told that could not be."""
         return self._plug.nonsense
 
-    # -- listening --------------------------------------------------------------------------------
+    # -- listening and speaking -------------------------------------------------------------------
 
-    def _listen(self) -> None:
-        if self._mqtt.session != self._session:
-            if self._session:
+    def _hear(self, message: Message) -> None:
+        kind, tail = message.topic.split("/", 1)[0], message.topic.rsplit("/", 1)[-1]
+        if kind == "cmnd":
+            self._ghost = bool(message.payload) if message.retain else self._ghost
+        elif tail == "LWT":
+            self._line.last_word = PRESENCE.get(message.payload, "says something else")
+            if message.payload == b"Online" and not message.retain:
                 self._back()
-            self._session, self._ghost = self._mqtt.session, False
-        for message in self._mail.take():
-            kind, tail = message.topic.split("/", 1)[0], message.topic.rsplit("/", 1)[-1]
-            if kind == "cmnd":
-                self._ghost = bool(message.payload) if message.retain else self._ghost
-            elif tail == "LWT":
-                self._last_word = message.payload.decode("utf-8", "replace")[:16]
-                if self._last_word == "Online" and not message.retain:
-                    self._back()
-            elif not message.retain:  # a kept copy says nothing of now
-                answer = tail in ("RESULT", "POWER", "POWER1")
-                heard = hear(message.payload)
-                self._plug.absorb(heard, answer, self._clock.now(), self._clock.monotonic())
+        elif not message.retain:  # a kept copy says nothing of now
+            heard = hear(message.payload, answer=tail in ("RESULT", "POWER", "POWER1"))
+            boots = self._plug.boots
+            self._plug.absorb(heard, *self._line.now())
+            if self._plug.boots != boots:
+                self._power_on_state = self._pulse = None
+            if heard.power_on_state is not None:
+                self._power_on_state = heard.power_on_state
+            if heard.pulse is not None:
+                self._pulse = heard.pulse
         if self._armed():
             self._arm_tries = 0
 
+    def _returned(self) -> None:
+        """We were away; what the broker keeps for the plug is told anew."""
+        self._back()
+        self._ghost = False
+
     def _back(self) -> None:
         self._plug.back()
+        self._power_on_state = self._pulse = None
         self._armed_s = DAWN
 
-    def _fresh(self) -> bool:
-        return self._plug.fresh(self._clock.monotonic())
+    def _to(self, command: str, payload: str) -> tuple[str, str]:
+        return f"cmnd/{self._topic}/{command}", payload
 
-    # -- speaking ---------------------------------------------------------------------------------
+    def _status(self) -> Commands:
+        return self._to("Status", "11"), self._to("Status", "8")
 
-    def _send(self, commands: Commands) -> None:
-        for command, payload in commands:
-            if not self._mqtt.publish(f"cmnd/{self._topic}/{command}", payload.encode(), qos=1):
-                why = self._mqtt.refusal or "not connected yet"
-                raise PlugTimeout(f"plug {self._topic} is out of reach: no broker ({why})")
-
-    def _exchange(self, commands: Commands, done: Callable[[], bool], tries: int, patience_s: float) -> bool:
-        """Say it until it is done. Raises PlugTimeout when the broker is away."""
-        for _ in range(tries):
-            self._send(commands)
-            until_s = self._clock.monotonic() + patience_s
-            while (left_s := until_s - self._clock.monotonic()) > 0.0 and self._mqtt.connected:
-                self._clock.wait(self._clock.now() + timedelta(seconds=left_s), self._mail)
-                self._listen()
-                if done():
-                    return True
-        return False
-
-    def _silence(self) -> PlugTimeout:
-        at = self._plug.on_at
-        heard = f"silent since {iso(at)}" if at else "has not answered yet"
-        topic = f"cmnd/{self._topic}/Status"
-        objection = self._mqtt.objections.get(topic)
-        why = f"; {topic}: {objection}" if objection else ""
-        broker = "connected" if self._mqtt.connected else "away"
-        return PlugTimeout(f"plug {self._topic} {heard} ({self._last_word}; broker {broker}){why}")
+    def _command(self, wanted: Relay) -> tuple[str, str]:
+        """A held OFF disarms the timer first, in one message."""
+        if wanted.held and not wanted.on:
+            return self._to("Backlog", "PulseTime1 0; POWER OFF")
+        return self._to("POWER", "ON" if wanted.on else "OFF")
 
     # -- the dead-man -----------------------------------------------------------------------------
 
     def _target(self) -> int:
         return 0 if self._plug.held else self._pulse_wanted
 
+    def _known(self) -> bool:
+        """Whether it has told how its timer is set."""
+        return self._power_on_state is not None and self._pulse is not None
+
     def _armed(self) -> bool:
-        return self._plug.power_on_state == INVERTED_PULSE and self._plug.pulse == self._target()
+        return self._power_on_state == INVERTED_PULSE and self._pulse == self._target()
 
     def _arming_s(self) -> float:
         """When to look after the timer's setting; never (infinity) where it is right."""
         return -DAWN if self._armed() else self._armed_s + CONFIRM_S
 
-    def _renewal_s(self) -> float:
-        """When to repeat OFF; never where it is on (the next decision acts) or off on a person's word."""
-        plug, wanted = self._plug, self._wanted
-        if wanted is None or wanted.on or wanted.held or plug.on is not False:
-            return -DAWN
-        share = RENEWALS if plug.off_s >= plug.off_sent_s else 5 * RENEWALS
-        return plug.off_sent_s + plug.dead_man_s / share
-
     def _settings(self) -> Commands:
         """Asks how the timer is set, or sets it where the answer was not as it should be."""
-        self._armed_s = self._clock.monotonic()
-        if not self._plug.known():
-            return ("PowerOnState", ""), ("PulseTime1", "")
+        self._armed_s = self._line.now()[1]
+        if not self._known():
+            return self._to("PowerOnState", ""), self._to("PulseTime1", "")
         self._arm_tries += 1
-        self._plug.pulse = None  # what is set is heard anew
-        if self._plug.power_on_state == INVERTED_PULSE:
-            return (("PulseTime1", str(self._target())),)
-        self._plug.power_on_state = None
-        return (("Backlog", f"PowerOnState {INVERTED_PULSE}; PulseTime1 {self._target()}"),)
+        self._pulse = None  # what is set is heard anew
+        if self._power_on_state == INVERTED_PULSE:
+            return (self._to("PulseTime1", str(self._target())),)
+        self._power_on_state = None
+        return (self._to("Backlog", f"PowerOnState {INVERTED_PULSE}; PulseTime1 {self._target()}"),)
 
     def _arm_now(self) -> None:
         """Until the timer is right. Raises PlugFault where it stays wrong, PlugTimeout without an answer."""
         for _ in range(TRIES):
             if self._armed():
                 return
-            self._exchange(self._settings(), self._plug.known, 1, PATIENCE_S)
+            self._line.exchange(self._settings(), self._known, 1, PATIENCE_S)
         if not self._armed():
-            if self._plug.known():
-                raise PlugFault(f"plug {self._topic} does not take its timer, so it is not switched off")
-            raise self._silence()
-
-
-def _command(wanted: Relay) -> tuple[str, str]:
-    """A held OFF disarms the timer first, in one message."""
-    if wanted.held and not wanted.on:
-        return "Backlog", "PulseTime1 0; POWER OFF"
-    return "POWER", "ON" if wanted.on else "OFF"
+            if self._known():
+                raise PlugFault(f"{self._line.name} does not take its timer, so it is not switched off")
+            raise self._line.silence(self._status())

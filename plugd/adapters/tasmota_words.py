@@ -1,35 +1,25 @@
 """What a Tasmota plug says, made out of untrusted bytes. Pure."""
 
-import json
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
+from plugd.adapters import plug_words
+from plugd.adapters.plug_words import MAX_ENERGY_KWH, MAX_POWER_KW, bounded, document
 from plugd.units import from_w, is_number
 
-MAX_POWER_W = 1e5
-MAX_ENERGY_KWH = 1e7
 WORDS = {"ON": True, "OFF": False}
-MAX_DIGITS = 15
 Found = TypeVar("Found")
 UPTIME = re.compile(r"(\d{1,6})T(\d\d):(\d\d):(\d\d)")
 
 
 @dataclass(frozen=True, slots=True)
-class Heard:
-    """One message, as far as plugd understands it. None: it says nothing of that."""
+class Heard(plug_words.Heard):
+    """A plug's message, with how its timer is set."""
 
-    on: bool | None = None
-    metered: bool = False
-    """It is from the sensors, whether or not there is a meter among them."""
-    power_kw: float | None = None
-    energy_kwh: float | None = None
-    uptime_s: float | None = None
     power_on_state: int | None = None
     pulse: int | None = None
-    nonsense: int = 0
-    """Values that cannot be."""
 
 
 def pulse_for(seconds: float) -> int:
@@ -39,29 +29,27 @@ def pulse_for(seconds: float) -> int:
     return round(seconds * 10.0) if seconds <= 11.0 else max(112, round(seconds) + 100)
 
 
-def hear(payload: bytes) -> Heard:
+def hear(payload: bytes, answer: bool = False) -> Heard:
     """A plain `ON` or `OFF`, or one of the JSON documents. What is not understood is an empty Heard."""
-    text = payload.decode("utf-8", "replace").strip()
-    if text.upper() in WORDS:
-        return Heard(on=WORDS[text.upper()])
-    try:
-        said = json.loads(text, parse_int=_int, parse_constant=_refuse, object_pairs_hook=_no_doubles)
-    except (ValueError, RecursionError):
-        return Heard()
-    if not isinstance(said, dict):
+    text = payload.strip().upper()
+    if text in (b"ON", b"OFF"):
+        return Heard(on=text == b"ON", answer=answer)
+    said = document(payload)
+    if said is None:
         return Heard()
     sensors = said.get("StatusSNS", said)
     said = said.get("StatusSTS", said)
     if not isinstance(sensors, dict) or not isinstance(said, dict):
         return Heard()
     meter = sensors.get("ENERGY")
-    power_w, bad_power = _bounded(meter, "Power", MAX_POWER_W)
-    energy_kwh, bad_energy = _bounded(meter, "Total", MAX_ENERGY_KWH)
+    power_w, bad_power = _metered(meter, "Power", 1000.0 * MAX_POWER_KW)
+    energy_kwh, bad_energy = _metered(meter, "Total", MAX_ENERGY_KWH)
     return Heard(
         on=_first(said, ("POWER", "POWER1"), lambda v: WORDS.get(str(v).upper())),
         metered="StatusSNS" in said or "ENERGY" in sensors,
         power_kw=None if power_w is None else from_w(power_w),
         energy_kwh=energy_kwh,
+        answer=answer,
         uptime_s=_first(said, ("UptimeSec", "Uptime"), _uptime),
         power_on_state=_first(said, ("PowerOnState",), _whole),
         pulse=_first(said, ("PulseTime1", "PulseTime"), _pulse),
@@ -69,32 +57,9 @@ def hear(payload: bytes) -> Heard:
     )
 
 
-def _int(digits: str) -> int:
-    if len(digits) > MAX_DIGITS:
-        raise ValueError("no plug counts that far")
-    return int(digits)
-
-
-def _refuse(constant: str) -> Any:
-    raise ValueError(f"{constant} is no JSON")
-
-
-def _no_doubles(pairs: Iterable[tuple[str, Any]]) -> dict[str, Any]:
-    said = list(pairs)
-    document = dict(said)
-    if len(document) != len(said):
-        raise ValueError("a key is there twice")
-    return document
-
-
-def _bounded(meter: object, key: str, most: float) -> tuple[float | None, int]:
+def _metered(meter: object, key: str, most: float) -> tuple[float | None, int]:
     """A value within 0 and `most`, and 1 where it is nonsense."""
-    if not isinstance(meter, dict) or key not in meter:
-        return None, 0
-    value = meter[key]
-    if not is_number(value) or not 0.0 <= value <= most:
-        return None, 1
-    return float(value), 0
+    return bounded(meter[key], most) if isinstance(meter, dict) and key in meter else (None, 0)
 
 
 def _first(said: dict[str, Any], keys: tuple[str, ...], make: Callable[[Any], Found | None]) -> Found | None:
@@ -107,7 +72,7 @@ def _whole(value: object) -> int | None:
 
 def _uptime(value: object) -> float | None:
     """Seconds, or `3T04:05:06` of firmware without UptimeSec."""
-    if isinstance(value, int | float) and is_number(value):
+    if is_number(value):
         return float(value) if value >= 0 else None
     found = UPTIME.fullmatch(value) if isinstance(value, str) else None
     if found is None:

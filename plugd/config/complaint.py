@@ -91,6 +91,8 @@ def _unknown(key: str, known: tuple[str, ...]) -> str:
     meant = leaf if leaf in elsewhere else nearest(leaf, elsewhere)
     if meant:
         return f"is no key; did you mean {elsewhere[meant]}?"
+    if not here:
+        return "is no key, and stands in no table that there is"
     return f"is no key; known {'in [' + table + ']' if table else 'here'}: {', '.join(here)}"
 
 

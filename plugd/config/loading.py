@@ -97,6 +97,7 @@ def household(config: Config, capability: Capability) -> Household:
             soc_max=from_pct(car.soc_max_pct),
             taper_from=from_pct(car.taper_from_pct),
             taper_share=from_pct(car.taper_share_pct),
+            soc_max_age_s=car.soc_max_age_min * 60,
             daily_use_kwh=car.daily_use_kwh,
             daily_use_sd_kwh=car.daily_use_sd_kwh,
         ),

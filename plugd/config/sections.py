@@ -10,7 +10,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validat
 from pydantic_core import PydanticCustomError
 
 from plugd.config import values
-from plugd.config.values import Clock, File, Percent, PlugKind, Text, Topic, Weekday, Window
+from plugd.config.values import Clock, File, Percent, PlugKind, PlugTopic, Text, Topic, Weekday, Window, Word
 from plugd.units import kw_of
 
 
@@ -38,7 +38,31 @@ class BrokerSection(Section):
     tls: bool = False
     ca_file: File | None = None
     topic: Topic = "plugd"
-    discovery_prefix: Topic = "homeassistant"
+    discovery_prefix: Topic | Literal[""] = "homeassistant"
+
+
+class MqttPlugSection(Section):
+    """The words of a plug over MQTT, where they differ from its preset's. `{topic}` is the plug's own topic."""
+
+    command_topic: PlugTopic | None = None
+    command_on: Word | None = None
+    command_off: Word | None = None
+    state_topic: PlugTopic | None = None
+    state_key: Word | None = None
+    state_on: Word | None = None
+    state_off: Word | None = None
+    power_topic: PlugTopic | None = None
+    power_key: Word | None = None
+    power_unit: Literal["W", "kW"] | None = None
+    energy_topic: PlugTopic | None = None
+    energy_key: Word | None = None
+    energy_unit: Literal["kWh", "Wh", "Wmin"] | None = None
+    availability_topic: PlugTopic | None = None
+    online: Word | None = None
+    offline: Word | None = None
+    ask_topic: PlugTopic | None = None
+    ask_payload: Word | None = None
+    on_change: bool | None = None
 
 
 class PlugSection(Section):
@@ -53,6 +77,7 @@ class PlugSection(Section):
     mains_voltage_v: Annotated[float, Field(ge=100, le=260)] = 230.0
     dead_man_s: Annotated[int, Field(ge=10, le=64800)] = 3600
     """After how long without word from plugd the plug comes on by itself. Under 60 s only on a test bench."""
+    mqtt: MqttPlugSection = MqttPlugSection()
 
 
 class CanSection(Section):
@@ -61,6 +86,8 @@ class CanSection(Section):
     interface: Literal["socketcan", "slcan", "udp_multicast"] = "socketcan"
     channel: Text = "can0"
     bitrate: Annotated[int, Field(ge=10_000, le=1_000_000)] = 250_000
+    period_s: Annotated[float, Field(ge=0.1, le=2)] = 1.0
+    """Between two commands; without one for 5 s the charger stops."""
     max_voltage_v: Annotated[float, Field(ge=10, le=1000)] | None = None
     max_current_a: Annotated[float, Field(ge=0.5, le=500)] | None = None
     soc: Literal["pylontech", "orion"] | None = None
@@ -81,6 +108,7 @@ class CarSection(Section):
     daily_use_sd_kwh: Annotated[float, Field(ge=0, le=500)] = 2.67
     soc_topic: Topic | None = None
     soc_json_key: Text | None = None
+    soc_unit: Literal["percent", "fraction"] = "percent"
     soc_max_age_min: Annotated[float, Field(gt=0, le=1440)] = 30.0
 
 
@@ -172,12 +200,11 @@ def at(config: Config, key: str) -> Any:
     return reduce(getattr, key.split("."), config)
 
 
-MODULATING = ("can_elcon",)
+WORDED = ("mqtt", "shelly1", "zigbee2mqtt", "esphome")
+"""Kinds whose words [plug.mqtt] may change."""
+NEEDED = ("command_topic", "command_on", "command_off", "state_topic", "state_on", "state_off")
+MODULATING = ("can_elcon", "openevse")
 """Kinds that take a power, and not only on and off."""
-
-
-def _is_can(config: Config) -> bool:
-    return config.plug.kind == "can_elcon"
 
 
 IMPOSSIBLE: tuple[tuple[str, Callable[[Config], bool], str], ...] = (
@@ -197,16 +224,6 @@ IMPOSSIBLE: tuple[tuple[str, Callable[[Config], bool], str], ...] = (
         "is less than plug.min_current_a gives at plug.mains_voltage_v; raise it",
     ),
     (
-        "can.max_voltage_v",
-        lambda c: _is_can(c) and c.can.max_voltage_v is None,
-        "write the highest voltage that the battery bears, from its own papers: the charger is never asked for more",
-    ),
-    (
-        "can.max_current_a",
-        lambda c: _is_can(c) and c.can.max_current_a is None,
-        "write the highest charging current that the battery bears, from its own papers",
-    ),
-    (
         "can.soc",
         lambda c: c.can.soc is not None and c.can.soc_dbc is not None,
         "stands beside can.soc_dbc; keep one of them",
@@ -215,6 +232,19 @@ IMPOSSIBLE: tuple[tuple[str, Callable[[Config], bool], str], ...] = (
         "can.soc_signal",
         lambda c: (c.can.soc_signal is None) is not (c.can.soc_dbc is None),
         "can.soc_dbc and can.soc_signal belong together; write both or none",
+    ),
+    (
+        "plug.mqtt",
+        lambda c: c.plug.kind not in WORDED and bool(c.plug.mqtt.model_fields_set),
+        f"counts only for plug.kind {', '.join(WORDED)}; remove the table, or change the kind",
+    ),
+    *(
+        (
+            f"plug.mqtt.{key}",
+            lambda c, key=key: getattr(c.plug.mqtt, key) == "",
+            "must not be empty: without it the plug can be neither told nor heard",
+        )
+        for key in NEEDED
     ),
     (
         "home.postcode",

@@ -66,6 +66,13 @@ def topic(value: str) -> str:
     return value
 
 
+def plug_topic(value: str) -> str:
+    """A topic in which `{topic}` stands for the plug's own; empty where the plug has none."""
+    if value:
+        topic(value.replace("{topic}", "topic"))
+    return value
+
+
 def url(value: str) -> str:
     """A server's address, without a closing slash."""
     try:
@@ -101,6 +108,8 @@ File = Annotated[Path, BeforeValidator(path)]
 Percent = Annotated[float, Field(ge=0, le=100), AfterValidator(percent)]
 Text = Annotated[str, Field(min_length=1, max_length=200)]
 Topic = Annotated[Text, AfterValidator(topic)]
+PlugTopic = Annotated[str, Field(max_length=200), AfterValidator(plug_topic)]
+Word = Annotated[str, Field(max_length=200)]
 Weekday = Literal["mon", "tue", "wed", "thu", "fri", "sat", "sun"]
 PlugKind = Literal[
     "tasmota", "shelly2", "openevse", "mqtt", "can_elcon", "shelly1", "zigbee2mqtt", "esphome"

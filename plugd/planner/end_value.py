@@ -25,6 +25,7 @@ It rises with the use. A battery with more room values the same kWh no less. Not
 
 from collections.abc import Iterator
 from functools import lru_cache
+from itertools import pairwise
 from math import ceil, floor, inf
 
 from plugd.domain import Series
@@ -85,32 +86,29 @@ def _night_before(slope: list[float], offers: list[list[float]], use_cells: floa
     """The slope at one session's end from that at the next. A use between two cells is one or the other."""
     low = floor(use_cells)
     share = use_cells - low
-    found = []
-    for cell in range(len(slope)):
-        fewer, more = (_mean_saving(slope, offers, cell - used) for used in (low, low + 1))
-        found.append((1.0 - share) * fewer + share * more)
+    stocks = range(len(slope) - low - 1, -low - 2, -1)
+    found = [_savings(slope, offer, stocks) for offer in offers]
+    means = [sum(savings) / len(offers) for savings in zip(*found, strict=True)]
+    return [share * more + (1.0 - share) * fewer for fewer, more in pairwise(means)][::-1]
+
+
+def _savings(slope: list[float], offer: list[float], stocks: range) -> list[float]:
+    """What one more cell saves on a night that begins with each of `stocks` cells, falling.
+
+    Below 0 some must be bought. The less there is, the more is: one pass through the offer serves them all.
+    """
+    found, bought, cells, slots = [], 0, len(slope), len(offer)
+    for stock in stocks:
+        if -stock > slots:  # out of reach: every slot is taken, and the next one is worth no less
+            found.append(max(0.0, offer[-1], slope[0]))
+            continue
+        bought, most = max(bought, -stock), min(slots, max(0, cells - stock))
+        while bought < most and offer[bought] < slope[stock + bought]:
+            bought += 1
+        last = offer[bought - 1] if bought else 0.0
+        kept = slope[stock + bought] if stock + bought < cells else 0.0
+        found.append(max(0.0, last, kept))
     return found
-
-
-def _mean_saving(slope: list[float], offers: list[list[float]], stock: int) -> float:
-    return sum(_saving(slope, offer, stock) for offer in offers) / len(offers)
-
-
-def _saving(slope: list[float], offer: list[float], stock: int) -> float:
-    """What one more cell saves on a night that begins with `stock` cells, less than none where some must be bought."""
-    bought, most = max(0, -stock), min(len(offer), max(0, len(slope) - stock))
-    if bought > len(offer):  # out of reach: every slot is taken, and the next one is worth no less
-        return max(0.0, offer[-1], slope[0])
-    low, high = bought, most
-    while low < high:
-        middle = (low + high) // 2
-        if offer[middle] >= slope[stock + middle]:
-            high = middle
-        else:
-            low = middle + 1
-    last = offer[low - 1] if low else -inf
-    kept = slope[stock + low] if stock + low < len(slope) else 0.0
-    return max(0.0, last, kept)
 
 
 def _falling(worths: Iterator[float]) -> Iterator[float]:

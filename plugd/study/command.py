@@ -2,12 +2,15 @@
 
 import argparse
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from datetime import date
 from pathlib import Path
 from statistics import fmean
 from typing import Any
 
+from plugd import series
 from plugd.errors import UsageError
+from plugd.series import IntensitySeries
 from plugd.study import backtest, drawing, experiments, issued, measured, table
 from plugd.study.forecasts import PAPER_GROWTH, Noise
 from plugd.study.growth import growth_per_half_hour
@@ -17,9 +20,14 @@ from plugd.study.telling import MAX_HORIZON, code, day, horizons, performed, pos
 NAMED = ("uncontrolled", "latest-start", "cheapest-tonight")
 
 
-def main(parser: argparse.ArgumentParser, arguments: Sequence[str]) -> int:
+Regions = Callable[[date, date], dict[int, IntensitySeries]]
+"""Fetches every region of the days between two dates: the study itself knows no network."""
+
+
+def main(parser: argparse.ArgumentParser, arguments: Sequence[str], regions: Regions | None = None) -> int:
     """Run an experiment. Returns the exit code; raises PlugdError for one line on stderr."""
     options = _arguments(parser).parse_args(arguments)
+    options.fetched = regions
     code: int = options.does(options)
     return code
 
@@ -31,6 +39,11 @@ def _arguments(parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
     _common(one, strategies="uncontrolled,1,2,4,7", noise=Noise.TARGET, end_value="on", seeds=5)
     one.set_defaults(does=_table)
     all_regions = parsers.add_parser("regions", help="the same in every region of a file (the paper's Figure 5)")
+    days: dict[str, Any] = {"type": day, "metavar": "DATE"}
+    all_regions.add_argument("--from", dest="since", default=date(2023, 1, 1), **days,
+                             help="without --actual: what to fetch from the API (default 2023-01-01)")  # fmt: skip
+    all_regions.add_argument("--to", dest="until", default=date(2023, 2, 1), **days,
+                             help="not included (default 2023-02-01)")  # fmt: skip
     _common(all_regions, strategies="uncontrolled,1,2,4", noise=Noise.NONE, end_value="off", seeds=5)
     all_regions.set_defaults(does=_regions)
     past = parsers.add_parser("backtest", help="what is captured with forecasts as they were really issued")
@@ -49,7 +62,8 @@ def _arguments(parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
 
 def _common(parser: argparse.ArgumentParser, *, strategies: str, noise: Noise, end_value: str, seeds: int) -> None:
     add = parser.add_argument
-    add("--actual", type=Path, required=True, metavar="CSV", help="measured intensity: from, actual and forecast")
+    add("--actual", type=Path, required=parser.get_default("since") is None, metavar="CSV",
+        help="measured intensity: from, actual and forecast")  # fmt: skip
     add("--noise", choices=[kind.value for kind in Noise], default=noise.value,
         help=f"whose one-step error the long forecast grows from (default {noise.value})")  # fmt: skip
     add("--error-from", type=Path, metavar="CSV", help="one-step errors of this file, same half hour of the year")
@@ -99,7 +113,7 @@ def _table(options: argparse.Namespace) -> int:
 
 def _regions(options: argparse.Namespace) -> int:
     began = time.perf_counter()
-    regions = measured.load_regions(options.actual, options.error_from)
+    regions = _regions_of(options)
     _check_errors(options, regions.values())
     terms = _terms(options)
     lists = {
@@ -135,6 +149,17 @@ def _regions(options: argparse.Namespace) -> int:
     return code(outcomes)
 
 
+def _regions_of(options: argparse.Namespace) -> dict[int, measured.Measured]:
+    """The regions of the file, or of the API where none is named."""
+    if options.actual is not None:
+        return measured.load_regions(options.actual, options.error_from)
+    if options.fetched is None:
+        raise UsageError("study regions: name a file with --actual")
+    other = None if options.error_from is None else series.load(options.error_from)
+    found = options.fetched(options.since, options.until)
+    return {region: measured.measured(f"NESO, region {region}", one, other) for region, one in found.items()}
+
+
 def _empty() -> dict[str, list[dict[str, Any]]]:
     return {"rows": [], "perfect": []}
 
@@ -143,7 +168,7 @@ def _check_errors(options: argparse.Namespace, found: Iterable[measured.Measured
     """Noise needs errors to grow from."""
     if options.noise != Noise.NONE.value and not any(any(world.error) for world in found):
         raise UsageError(
-            f"--noise {options.noise}: {options.actual} has no forecast beside its actual; "
+            f"--noise {options.noise}: {options.actual or 'the API'} has no forecast beside its actual; "
             "name a file that has both with --error-from, or say --noise none"
         )
 

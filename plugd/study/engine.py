@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from datetime import datetime
 from itertools import pairwise, takewhile
+from statistics import fmean
 
 from plugd import sessions, soc
 from plugd.domain import Household, Orders, Overrides, Presence, Session, Setpoint, SocEstimate, Switch
@@ -64,6 +65,10 @@ class Account:
     flows: tuple[Flow, ...]
     end_kwh: float
     """In the battery when all is over."""
+    used_kwh: float
+    """At the plug, for what was driven."""
+    mean_g_per_kwh: float
+    """Intensity over all the time simulated."""
 
     @property
     def energy_kwh(self) -> float:
@@ -77,9 +82,17 @@ class Account:
 
     @property
     def carbon_g_per_kwh(self) -> float | None:
-        """The paper's C_EV; None where nothing was charged."""
-        energy_kwh = self.energy_kwh
-        return self.carbon_g / energy_kwh if energy_kwh > 0.0 else None
+        """The paper's C_EV, of what was driven; None where nothing was.
+
+        What the battery holds less at the end than at the start is owed at the mean intensity. What it holds more was
+        charged for later, and leaves at the lower of the mean and what it cost. Otherwise a fortnight of charging to
+        the ceiling would be judged by energy that it never drives.
+        """
+        owed_kwh, rate = self.used_kwh - self.energy_kwh, self.mean_g_per_kwh
+        if owed_kwh < 0.0:
+            rate = min(rate, self.carbon_g / self.energy_kwh)
+        settled_g = self.carbon_g + owed_kwh * rate
+        return settled_g / self.used_kwh if self.used_kwh > 0.0 else None
 
     @property
     def missed(self) -> int:
@@ -179,4 +192,11 @@ def simulate(world: World, strategy: Strategy, found: Measured) -> Account:
     battery = Battery(car.capacity_kwh, world.start_soc * car.capacity_kwh, car.efficiency)
     loop = Loop(world.household, strategy, found, battery)
     nights = tuple(loop.night(stay, coming) for stay, coming in stays(world, found.end))
-    return Account(nights, tuple(loop.flows), battery.energy_kwh)
+    simulated = found.actual[found.index(world.start) : found.index(world.end)]
+    return Account(
+        nights,
+        tuple(loop.flows),
+        battery.energy_kwh,
+        used_kwh=sum(night.driven_kwh for night in nights) / car.efficiency,
+        mean_g_per_kwh=fmean(simulated) if simulated else 0.0,
+    )

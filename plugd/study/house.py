@@ -125,6 +125,7 @@ class SimHub:
     decision: Decision | None = None
     answers: list[Answer] = field(default_factory=list)
     faults: set[str] = field(default_factory=set)
+    warnings: tuple[Fault, ...] = ()
 
     def commands(self) -> Sequence[Command]:
         """What was said since the last call."""

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field, replace
 from datetime import datetime
+from typing import Any, TypeVar
 
 from plugd.domain import Capability, Car, Household
 from plugd.planner.exact import Exact
@@ -31,6 +32,9 @@ PAPER = Household(
 """The paper's section IV: 50 kWh, 20 to 80 %, 10 kW, no losses, nobody but the plan at the plug."""
 PLANNING = ("mpc", "perfect")
 """Strategies that have a horizon."""
+
+
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,8 +139,23 @@ Told = Callable[[int, int], None]
 """Is told how many of how many runs are done."""
 
 
+class Here(Executor):
+    """One worker: this process, without the second that another takes to begin."""
+
+    def submit(self, fn: Callable[..., Result], /, *args: Any, **kwargs: Any) -> Future[Result]:
+        """Done when it returns."""
+        future: Future[Result] = Future()
+        try:
+            future.set_result(fn(*args, **kwargs))
+        except Exception as error:  # noqa: BLE001 - whatever it is, the future has it, as any executor's
+            future.set_exception(error)
+        return future
+
+
 def pool(workers: int) -> Executor:
     """A process pool. Workers begin afresh: nothing of the parent's threads or random numbers leaks into them."""
+    if workers == 1:
+        return Here()
     context = multiprocessing.get_context("spawn")
     return ProcessPoolExecutor(workers, context, initializer=signal.signal, initargs=(signal.SIGINT, signal.SIG_DFL))
 

@@ -6,19 +6,23 @@ import socket
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import replace
-from datetime import time
+from datetime import date, time
 from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from plugd.adapters.hub import MAX_COMMAND_BYTES, PARSERS, MqttHub, Refused, Topics, car_soc, parse, planned, state
+from plugd.adapters import homeassistant
+from plugd.adapters.hub import MqttHub, Topics, foreseen, planned, state
 from plugd.adapters.mqtt import Broker, Mailbox, Message, MqttConnection, Retained
+from plugd.command_words import MAX_BYTES, PARSERS, NotKnown, Refused, car_soc, parse
 from plugd.controller import Controller
 from plugd.cycle import Cycle
 from plugd.domain import (
+    ClearTrip,
     Command,
+    DayRule,
     Decision,
     Fault,
     Memory,
@@ -35,19 +39,39 @@ from plugd.domain import (
     SetMode,
     SetReadyBy,
     SetSoc,
+    SetTrip,
+    SetWeek,
+    Trip,
 )
 from plugd.planner.exact import Exact
 from plugd_hil.broker import Mosquitto
 from tests.fakes import FakeClock
+from tests.programs import Listener
 from tests.unit.deciding import HOME, NIGHT, Box, Disk, Source, at, forecast, knows, minutes
 
 SOON_S = 5.0
+
+
+class SomeNumber:
+    """Equal to any number."""
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, float)
+
+    def __hash__(self) -> int:
+        return 0
+
+
+ANY = SomeNumber()
 KEYS = {
     "mode", "decision", "reason", "soc_pct", "soc_age_s", "soc_source", "power_w", "energy_kwh", "intensity_g_per_kwh",
     "next_start", "next_stop", "ready_by", "morning_soc_pct", "shortfall_kwh", "saved_g_today", "saved_g_total",
     "switch_ons_today", "forecast_age_min", "forecast_until", "faults", "version",
 }  # fmt: skip
 """What others rely on."""
+
+THURSDAY = date(2023, 1, 5)
+TRIP = Trip(THURSDAY, time(5, 30), 0.9)
 
 # -- what is a command ----------------------------------------------------------------------------
 
@@ -72,6 +96,19 @@ KEYS = {
         ("horizon", b"3", SetHorizon(3)),
         ("horizon", b"7.0", SetHorizon(7)),
         ("replan", b"PRESS", Replan()),
+        ("trip", b'{"date": "2023-01-05", "minimum_pct": 90, "ready_by": "05:30"}', SetTrip(TRIP)),
+        ("trip", b'{"date": "2023-01-05", "minimum_pct": 90}', SetTrip(Trip(THURSDAY, minimum=0.9))),
+        ("trip", b'{"date": "2023-01-05", "ready_by": "05:30", "away": false}', SetTrip(Trip(THURSDAY, time(5, 30)))),
+        ("trip", b'{"date": "2023-01-05", "away": true, "clear": null}', SetTrip(Trip(THURSDAY, away=True))),
+        ("trip", b' {"clear": true, "date": "2023-01-05"}\n', ClearTrip(THURSDAY)),
+        ("week", b"", SetWeek(None)),
+        ("week", b"null", SetWeek(None)),
+        ("week", b"{}", SetWeek(())),
+        (
+            "week",
+            b'{"sun": {"away": true}, "mon": {}, "sat": {"ready_by": "10:00", "minimum_pct": 60}}',
+            SetWeek(((5, DayRule(time(10), 0.6)), (6, DayRule(away=True)))),
+        ),
     ],
 )
 def test_what_is_understood(name: str, payload: bytes, command: Command) -> None:
@@ -109,7 +146,38 @@ def test_a_number_outside_is_refused_with_its_bounds(name: str, payload: bytes) 
         ("horizon", b"8", "is outside 1 to 7 nights"),
         ("horizon", b"2.5", "not a whole number"),
         ("replan", b"", "is not PRESS"),
-        ("toggle", b"ON", "there are mode, soc, minimum, connected, ready_by, horizon, replan"),
+        ("toggle", b"ON", "there are mode, soc, minimum, connected, ready_by, week, trip, horizon, replan"),
+        ("trip", b"", "is no JSON"),
+        ("trip", b"[]", "a trip is a JSON object with date, minimum_pct, ready_by, away, clear"),
+        ("trip", b"{}", "date 'null' is no day; send the morning's, as YYYY-MM-DD"),
+        ("trip", b'{"date": "20230105", "away": true}', "is no day"),
+        ("trip", b'{"date": "2023-02-29", "away": true}', "is no day"),
+        ("trip", b'{"date": "2023-W01-4", "away": true}', "is no day"),
+        ("trip", b'{"date": 20230105, "away": true}', "is no day"),
+        ("trip", b'{"date": "2023-01-05"}', "asks for nothing; send minimum_pct, ready_by or away"),
+        ("trip", b'{"date": "2023-01-05", "away": true, "minimum_pct": 60}', "send one or the other"),
+        ("trip", b'{"date": "2023-01-05", "clear": true, "minimum_pct": 60}', "send it with the date alone"),
+        ("trip", b'{"date": "2023-01-05", "clear": 1}', "neither true nor false"),
+        ("trip", b'{"date": "2023-01-05", "away": "yes"}', "neither true nor false"),
+        ("trip", b'{"date": "2023-01-05", "minimum_pct": "60"}', "is not a number"),
+        ("trip", b'{"date": "2023-01-05", "minimum_pct": true}', "is not a number"),
+        ("trip", b'{"date": "2023-01-05", "minimum_pct": 0.6}', "looks like a fraction"),
+        ("trip", b'{"date": "2023-01-05", "minimum_pct": 101}', "is outside 0 to 100 %"),
+        ("trip", b'{"date": "2023-01-05", "minimum_pct": NaN}', "NaN is no JSON; send a finite number"),
+        ("trip", b'{"date": "2023-01-05", "minimum_pct": 1e999}', "too large"),
+        ("trip", b'{"date": "2023-01-05", "minimum_pct": ' + b"9" * 3000 + b"}", "is not a number"),
+        ("trip", b'{"date": "2023-01-05", "minimum_pct": 60, "minimum_pct": 20}', "a key comes twice"),
+        ("trip", b'{"date": "2023-01-05", "minimum": 60}', "a trip has no 'minimum'; there are date, minimum_pct"),
+        ("trip", b'{"date": "2023-01-05", "ready_by": 5}', "send HH:MM in quotes"),
+        ("trip", b'{"date": "2023-01-05", "ready_by": "5 am"}', "send HH:MM"),
+        ("trip", b"[" * 4000, "nested too deep"),
+        ("trip", b'{"date": "\\ud800"}', "is no day"),
+        ("week", b"[]", "a week is a JSON object with mon, tue"),
+        ("week", b'{"saturday": {"away": true}}', "a week has no 'saturday'"),
+        ("week", b'{"sat": true}', "a day of the week is a JSON object"),
+        ("week", b'{"sat": {"away": false}}', "sat asks for nothing"),
+        ("week", b'{"sat": {"away": true, "ready_by": "10:00"}}', "send one or the other"),
+        ("week", b'{"sat": {"a": {"b": {"c": {}}}}}', "sat has no 'a'"),
         ("", b"ON", "there is no command ''"),
         ("soc", b"\xff\xfe", "not UTF-8"),
         ("soc", b"5" * 4097, "at most 4096"),
@@ -122,13 +190,25 @@ def test_what_is_refused_says_what_would_be_right(name: str, payload: bytes, rem
     assert len(str(refusal.value)) < 250
 
 
+JSONS = st.recursive(
+    st.none() | st.booleans() | st.floats() | st.integers() | st.sampled_from(["2023-01-05", "10:00", "x", "\ud800"]),
+    lambda inner: (
+        st.lists(inner, max_size=2)
+        | st.dictionaries(
+            st.sampled_from(["date", "minimum_pct", "ready_by", "away", "clear", "sat"]), inner, max_size=4
+        )
+    ),
+    max_leaves=6,
+).map(lambda tree: json.dumps(tree).encode())
 WORDS = st.sampled_from(["ON", "off", "NOW", "07:30", "1_0", "٣", "0x10", "NaN", "1e999", "-0", "true", "{}", "\u2028"])
 TEXTS = (WORDS | st.text(max_size=40) | st.floats().map(str) | st.integers().map(str)).map(
     lambda t: t.encode("utf-8", "replace")
 )
 
 
-@given(name=st.sampled_from([*PARSERS, "other", ""]) | st.text(max_size=9), payload=TEXTS | st.binary(max_size=60))
+@given(
+    name=st.sampled_from([*PARSERS, "other", ""]) | st.text(max_size=9), payload=TEXTS | JSONS | st.binary(max_size=60)
+)
 def test_anything_is_a_command_or_refused(name: str, payload: bytes) -> None:
     try:
         command = parse(name, payload)
@@ -137,6 +217,9 @@ def test_anything_is_a_command_or_refused(name: str, payload: bytes) -> None:
     if isinstance(command, SetSoc | SetMinimum):
         value = command.soc if isinstance(command, SetSoc) else command.minimum
         assert 0.0 <= value <= 1.0
+    if isinstance(command, SetTrip):
+        assert command.trip != Trip(command.trip.day)
+        assert command.trip.minimum is None or 0.0 <= command.trip.minimum <= 1.0
     if isinstance(command, SetHorizon):
         assert 1 <= command.sessions <= 7
 
@@ -162,18 +245,44 @@ def test_the_soc_in_a_cars_message(payload: bytes, key: str | None, soc: float) 
 @pytest.mark.parametrize(
     ("payload", "key"),
     [
-        (b"", None), (b"unavailable", None), (b"0.64", None), (b"nan", None), (b"101", None), (b"\xff", None),
-        (b"64", "soc"), (b'{"soc": "low"}', "soc"), (b'{"soc": true}', "soc"), (b'{"soc": null}', "soc"),
-        (b'{"soc": [64]}', "soc"), (b"[64]", "0"), (b'"abc"', "soc"), (b"null", "soc"), (b'{"soc": {}}', "soc"),
-        (b'{"soc": 64}', "level"), (b'{"soc": 64}', "soc.level"), (b'{"a": {}}', "a.c"), (b'{"soc": 0.64}', "soc"),
+        (b"0.64", None), (b"nan", None), (b"101", None), (b"\xff", None),
+        (b'{"soc": "low"}', "soc"), (b'{"soc": true}', "soc"), (b'{"soc": 1, "soc": 64}', "soc"),
+        (b'{"soc": [64]}', "soc"), (b'{"soc": {}}', "soc"),
+        (b'{"soc": 0.64}', "soc"),
         (b'{"soc": NaN}', "soc"), (b'{"soc": Infinity}', "soc"), (b'{"soc": 1e999}', "soc"), (b'{"soc": -1}', "soc"),
         (b'{"soc": ' + b"9" * 4000 + b"}", "soc"), (b'{"soc": 64', "soc"), (b"[" * 4000, "soc"), (b'{"a":' * 800, "a"),
-        (b'{"soc": 64}' + b" " * MAX_COMMAND_BYTES, "soc"), (b'"\\ud800"', "soc"),
+        (b'{"soc": 64}' + b" " * MAX_BYTES, "soc"),
     ],
 )  # fmt: skip
 def test_a_cars_message_without_a_soc_is_refused(payload: bytes, key: str | None) -> None:
-    with pytest.raises(Refused):
+    with pytest.raises(Refused) as refusal:
         car_soc(payload, key)
+    assert not isinstance(refusal.value, NotKnown)
+
+
+@pytest.mark.parametrize(
+    ("payload", "key"),
+    [
+        (b"", None), (b"unavailable", None), (b"Unknown", None), (b"null", None), (b"null", "soc"),
+        (b'{"soc": null}', "soc"), (b'{"soc": "unavailable"}', "soc"), (b'{"soc": 64}', "level"),
+        (b'"\\ud800"', "soc"),
+        (b'{"soc": 64}', "soc.level"), (b'{"a": {}}', "a.c"), (b"[64]", "0"), (b'"abc"', "soc"), (b"64", "soc"),
+    ],
+)  # fmt: skip
+def test_a_car_that_does_not_know_says_nothing_and_that_is_no_fault(payload: bytes, key: str | None) -> None:
+    with pytest.raises(NotKnown):
+        car_soc(payload, key)
+
+
+@pytest.mark.parametrize(("payload", "soc"), [(b"0.64", 0.64), (b"1", 1.0), (b"0", 0.0), (b"1.0", 1.0)])
+def test_a_car_that_counts_in_fractions(payload: bytes, soc: float) -> None:
+    assert car_soc(payload, None, fraction=True) == soc
+
+
+@pytest.mark.parametrize("payload", [b"64", b"1.01", b"-0.1", b"nan"])
+def test_percent_from_a_car_that_counts_in_fractions_is_refused(payload: bytes) -> None:
+    with pytest.raises(Refused, match="is outside 0 to 1, a fraction as soc_unit says"):
+        car_soc(payload, None, fraction=True)
 
 
 TREES = st.recursive(
@@ -232,11 +341,47 @@ def test_a_kept_copy_is_never_obeyed() -> None:
     assert list(hub.commands()) == []
 
 
+def test_a_command_that_is_too_long_is_answered_too() -> None:
+    connection = Flaky(0)
+    hub = MqttHub(connection, HERE, HOME)
+    arrive(hub._commands, ("plugd/ev/trip/set", b"{" * 5000, False), ("plugd/ev/mode/set", b"now", False))
+    assert list(hub.commands()) == [SetMode(Mode.NOW)]
+    assert connection.said == ["plugd/ev/result"]
+    assert list(hub.commands()) == []
+    assert (connection.said, hub.refused) == (["plugd/ev/result"], 1)
+
+
+def test_what_the_car_says_that_cannot_be_its_soc_is_a_fault_until_it_says_better() -> None:
+    hub = unconnected()
+    arrive(hub._car, ("car/soc", b"0.64", False))
+    assert list(hub.commands()) == []
+    (fault,) = hub.warnings
+    assert fault.code == "car_soc"
+    assert "car/soc: 0.64 looks like a fraction" in fault.text
+    arrive(hub._car, ("car/soc", b"unavailable", False))
+    assert list(hub.commands()) == []
+    assert hub.warnings == (fault,)
+    arrive(hub._car, ("car/soc", b"64", False), ("car/soc", b"unavailable", False))
+    assert list(hub.commands()) == [SetSoc(0.64, source="car")]
+    assert not hub.warnings
+
+
+def test_a_key_that_was_never_there_is_a_fault_and_one_that_is_sometimes_there_is_none() -> None:
+    hub = MqttHub(MqttConnection(Broker(), "nobody"), Topics("plugd/ev", "car/soc", "battery.soc"), HOME)
+    arrive(hub._car, ("car/soc", b'{"odometer": 5}', False))
+    assert list(hub.commands()) == []
+    assert "there is no 'battery.soc' in the car's message; see [car] soc_topic" in hub.warnings[0].text
+    arrive(hub._car, ("car/soc", b'{"battery": {"soc": 64}}', False))
+    assert list(hub.commands()) == [SetSoc(0.64, source="car")]
+    arrive(hub._car, ("car/soc", b'{"odometer": 6}', False))
+    assert (list(hub.commands()), hub.warnings) == ([], ())
+
+
 def test_the_cars_last_good_word_counts() -> None:
     hub = unconnected()
     arrive(hub._car, ("car/soc", b"40", False), ("car/soc", b"41", False), ("car/soc", b"unavailable", False))
     assert list(hub.commands()) == [SetSoc(0.41, source="car")]
-    assert hub.refused == 1
+    assert hub.refused == 0
 
 
 class Flaky(MqttConnection):
@@ -254,13 +399,13 @@ class Flaky(MqttConnection):
         return self.fails < 0
 
 
-@pytest.mark.parametrize("fails", [1, 2, 3])
+@pytest.mark.parametrize("fails", [1, 2, 3, 4])
 def test_what_could_not_be_told_is_told_the_next_time(fails: int) -> None:
     connection = Flaky(fails)
     hub = MqttHub(connection, HERE, HOME)
     for _ in range(5):
         hub.publish(decided(), None)
-    assert sorted(connection.said) == ["plugd/ev/availability", "plugd/ev/plan", "plugd/ev/state"]
+    assert sorted(connection.said) == [f"plugd/ev/{name}" for name in ("availability", "outlook", "plan", "state")]
 
 
 # -- the documents --------------------------------------------------------------------------------
@@ -307,7 +452,27 @@ def test_the_state_says_what_is() -> None:
         "faults": [{"code": "store", "text": "the card is full"}],
     }
     assert {key: told[key] for key in expected} == expected
+    assert told["ready_at"] == "2023-01-03T05:00:00Z"
+    assert (told["charging"], told["at_risk"]) == (True, False)
+    assert told["settings"] == {"minimum_pct": 50.0, "ready_by": None, "horizon": 4, "week": {}, "trips": []}
     assert told["morning_soc_pct"] == pytest.approx(60 + 3 * 2.3 * 0.9 * 2, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("reading", "power_w", "charging"),
+    [
+        (Reading(NIGHT, True, 2.3, 12.5), 2300.0, True),
+        (Reading(NIGHT, True, 0.0, 12.5), 0.0, False),
+        (Reading(NIGHT, True, None, 12.5), None, None),
+        (Reading(NIGHT, False, None, 12.5), 0.0, False),
+        (Reading(NIGHT, False, 2.3, 12.5), 2300.0, True),
+        (Reading(NIGHT, False), None, None),
+        (None, None, None),
+    ],
+)
+def test_it_charges_where_power_flows(reading: Reading | None, power_w: float | None, charging: bool | None) -> None:
+    told = state(decided(), reading, HOME)
+    assert (told["power_w"], told["charging"]) == (power_w, charging)
 
 
 def test_switch_ons_are_todays_by_the_local_calendar() -> None:
@@ -341,6 +506,48 @@ def test_the_plan_lists_the_slots_with_power() -> None:
     }
     assert all(slot["power_kw"] > 0.0 for slot in told)
     assert planned(replace(decision, memory=knows(0.6))) == []
+
+
+def test_the_settings_are_what_counts_now_in_the_words_of_the_commands() -> None:
+    asked = Overrides(minimum=0.6, ready_by=time(7), horizon=2, trips=(TRIP, Trip(date(2023, 1, 6), away=True)),
+                      week=((5, DayRule(minimum=0.7)), (6, DayRule(away=True))))  # fmt: skip
+    told = state(decided(replace(knows(0.6), overrides=asked)), None, HOME)["settings"]
+    assert told == {
+        "minimum_pct": 60.0,
+        "ready_by": "07:00",
+        "horizon": 2,
+        "week": {"sat": {"minimum_pct": 70.0}, "sun": {"away": True}},
+        "trips": [
+            {"date": "2023-01-05", "minimum_pct": 90.0, "ready_by": "05:30"},
+            {"date": "2023-01-06", "away": True},
+        ],
+    }
+    assert parse("week", json.dumps(told["week"]).encode()) == SetWeek(asked.week)
+    assert [parse("trip", json.dumps(trip).encode()) for trip in told["trips"]] == [SetTrip(t) for t in asked.trips]
+
+
+def test_a_morning_that_will_be_short_is_at_risk_and_so_is_one_with_a_silent_plug() -> None:
+    assert state(decided(knows(0.2)), None, HOME)["at_risk"] is False
+    late = replace(HOME, car=replace(HOME.car, capacity_kwh=100.0))
+    short = Controller(late, Exact()).tick(NIGHT, Observation(forecast=forecast(NIGHT)), knows(0.2))
+    assert state(short, None, late)["at_risk"] is True
+    silent = (Fault("plug_silent", "it says nothing"),)
+    assert state(decided(knows(0.2), silent), None, HOME)["at_risk"] is True
+    assert state(decided(knows(0.7), silent), None, HOME)["at_risk"] is False
+    assert state(replace(decided(), memory=knows(0.6)), None, HOME)["at_risk"] is None
+
+
+def test_the_outlook_lists_a_week_at_most() -> None:
+    decision = decided()
+    told = foreseen(decision)
+    assert told[0] == {"start": "2023-01-02T23:00:00Z", "g_per_kwh": 200.0, "sd_g_per_kwh": ANY, "source": "neso"}
+    assert decision.outlook
+    assert len(told) == len(decision.outlook.slots) < 7 * 48
+    away = replace(
+        knows(0.6), overrides=Overrides(trips=tuple(Trip(date(2023, 1, d), away=True) for d in range(4, 20)))
+    )
+    assert len(foreseen(decided(away))) == 7 * 48
+    assert foreseen(replace(decision, outlook=None)) == []
 
 
 # -- through a broker -----------------------------------------------------------------------------
@@ -517,6 +724,59 @@ def test_a_broken_connection_is_offline_and_back_online(line: Line) -> None:
     assert heard(line, lambda: "availability" in (said := line.listen()) and said["availability"] == "offline")
     assert line.ours.bell.hold(lambda: line.ours.session == 2, SOON_S)
     assert line.step()["availability"] == "online"
+
+
+DEVICE = "homeassistant/device/plugd_ev/config"
+
+
+@pytest.fixture
+def long_ears(line: Line, mosquitto: Mosquitto) -> Iterator[Listener]:
+    """Somebody who hears everything there is, however long: plugd itself takes no more than 4 kB."""
+    line.hub = MqttHub(line.ours, Topics("plugd/ha", discovery_prefix="homeassistant"), HOME)
+    line.cycle.hub = line.hub
+    line.ours.flush()
+    listener = Listener(mosquitto.host, mosquitto.port, ["plugd/ha/+", "homeassistant/#"])
+    yield listener
+    listener.close()
+
+
+def test_the_device_is_announced_once_and_again_when_the_hub_is_born(line: Line, long_ears: Listener) -> None:
+    line.step()
+    announced = long_ears.until("homeassistant/device/plugd_ha/config")
+    assert announced == json.loads(json.dumps(homeassistant.device("plugd/ha", HOME)))
+    assert long_ears.until("plugd/ha/outlook")[0].keys() == {"start", "g_per_kwh", "sd_g_per_kwh", "source"}
+    long_ears.until("plugd/ha/state")
+    for birth, told in (("offline", []), ("online", ["config", "outlook", "plan", "state"])):
+        seen = long_ears.count()
+        long_ears.send("homeassistant/status", birth)
+        line.step()
+        line.ours.publish("plugd/ha/end", birth.encode())
+        long_ears.until("plugd/ha/end", birth.__eq__, after=seen)
+        heard = {topic.split("/")[-1] for topic, _, _ in long_ears.heard.all[seen:]}
+        assert sorted(heard - {"status", "end"}) == told
+
+
+def test_an_empty_prefix_takes_back_what_was_announced(line: Line, long_ears: Listener, mosquitto: Mosquitto) -> None:
+    line.step()
+    long_ears.until("homeassistant/device/plugd_ha/config")
+    line.cycle.hub = MqttHub(line.ours, Topics("plugd/ha", discovery_prefix=""), HOME)
+    line.step()
+    assert long_ears.until("homeassistant/device/plugd_ha/config", lambda said: said == "") == ""
+    late = Listener(mosquitto.host, mosquitto.port, ["homeassistant/#", "plugd/ha/state"])
+    late.until("plugd/ha/state")
+    late.close()
+    assert [topic for topic, _, _ in late.heard.all] == ["plugd/ha/state"]
+
+
+def test_a_trip_is_set_listed_and_cleared(line: Line) -> None:
+    line.step()
+    told = line.command("trip", b'{"date": "2023-01-04", "minimum_pct": 75, "ready_by": "05:00"}')
+    assert told["result"] == {"command": "trip", "ok": True, "message": "2023-01-04: at least 75 % by 05:00"}
+    assert told["state"]["settings"]["trips"] == [{"date": "2023-01-04", "minimum_pct": 75.0, "ready_by": "05:00"}]
+    told = line.command("trip", b'{"date": "2023-01-04", "clear": true}')
+    assert told["result"]["ok"]
+    assert told["state"]["settings"]["trips"] == []
+    assert not line.command("trip", b'{"date": "2022-12-24", "away": true}')["result"]["ok"]
 
 
 def test_a_daemon_that_ends_says_so(line: Line) -> None:

@@ -306,7 +306,7 @@ def test_a_broker_that_is_not_there_yet(tmp_path: Path, clients: Callable[[MqttC
     broker = broker_with(tmp_path, "allow_anonymous true\n")
     connection = clients(MqttConnection(Broker(broker.host, broker.port), "ours", retry_s=(0.1, 0.2)))
     assert not connection.wait_connected(0.5)
-    assert "refused" in str(connection.refusal)
+    assert "refuses the connection" in str(connection.refusal)
     broker.start()
     assert connection.wait_connected(SOON_S)
     connection.close()

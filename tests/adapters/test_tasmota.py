@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from plugd.adapters.clock import SystemClock
 from plugd.adapters.mqtt import Broker, Mailbox, MqttConnection, Retained
+from plugd.adapters.plug_memory import PlugMemory
 from plugd.adapters.tasmota import Tasmota
-from plugd.adapters.tasmota_memory import PlugMemory
 from plugd.adapters.tasmota_words import Heard, hear, pulse_for
 from plugd.domain import Reading, Relay
 from plugd.errors import PlugFault, PlugTimeout
@@ -106,7 +106,7 @@ def test_what_a_plug_cannot_count(seconds: float) -> None:
 
 def told(plug: PlugMemory, at_s: float, **words: Any) -> None:
     """The plug says something, this many seconds after midnight."""
-    plug.absorb(Heard(**words), answer=True, now=MIDNIGHT + timedelta(seconds=at_s), now_s=at_s)
+    plug.absorb(Heard(answer=True, **words), now=MIDNIGHT + timedelta(seconds=at_s), now_s=at_s)
 
 
 @pytest.mark.parametrize(

@@ -24,6 +24,7 @@ class CanRig:
         self.plug: Plug = charger
         self.clock: Clock = clock
         self.dead_man_s = 0.0
+        self.metered = True
         self.charger = charger
         self.stub = stub
 

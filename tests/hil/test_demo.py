@@ -335,10 +335,10 @@ def test_a_daemon_that_does_not_start_is_named_at_once(
 ) -> None:
     for name, value in environment().items():
         monkeypatch.setenv(name, value)
-    monkeypatch.setattr(demo, "CONFIG", demo.CONFIG.replace('kind = "{plug}"', 'kind = "shelly2" # {plug}'))
+    monkeypatch.setattr(demo, "CONFIG", demo.CONFIG.replace('dir = "{state}"', 'dir = "/dev/null" # {state}'))
     assert demo.main(["--days", "1"]) == 1
     err = capsys.readouterr().err
-    assert err.startswith("plugd demo: the demo stopped: plugd ended before its time (status 1): plugd: plug.kind")
+    assert err.startswith("plugd demo: the demo stopped: plugd ended before its time (status 1): plugd: /dev/null")
     assert len(err.splitlines()) == 1
 
 

@@ -147,7 +147,7 @@ def test_ten_seconds_after_the_start_there_is_a_plan_and_the_relay_is_as_the_sta
     assert all(retained for _, _, retained in late.heard.all[:3])
 
 
-@pytest.mark.parametrize(("soc", "mode", "decision"), [(80, "smart", "off"), (60, "now", "on")])
+@pytest.mark.parametrize(("soc", "mode", "decision"), [(90, "smart", "off"), (60, "now", "on")])
 def test_a_killed_daemon_comes_back_to_the_same_plan_and_leaves_the_relay_alone(
     house: House, soc: int, mode: str, decision: str
 ) -> None:
@@ -177,7 +177,7 @@ def test_a_killed_daemon_comes_back_to_the_same_plan_and_leaves_the_relay_alone(
 
 def test_without_a_broker_the_plug_comes_on_by_itself_and_goes_off_when_plugd_is_back(house: House) -> None:
     daemon = house.daemon()
-    house.settled(80, "smart", "off")
+    house.settled(90, "smart", "off")
     assert house.relay()[-1] == "off"
     heard, seen = house.listener.count(), len(house.plug.said.all)
     house.broker.stop()
@@ -208,7 +208,7 @@ def test_a_command_reaches_the_relay_within_two_seconds(house: House) -> None:
 
 def test_a_second_daemon_on_the_same_folder_is_refused_and_the_first_told_to_end_ends(house: House) -> None:
     first = house.daemon()
-    house.settled(80, "smart", "off")
+    house.settled(90, "smart", "off")
     before = house.listener.count()
     second = house.start()
     assert second.ends() == 75

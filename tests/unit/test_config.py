@@ -37,7 +37,9 @@ def test_the_example_is_the_defaults() -> None:
 
 def test_the_example_with_every_comment_opened_is_a_configuration_too() -> None:
     text = re.sub(r"(?m)^# (\w+ = )", r"\1", EXAMPLE.read_text())
-    text = text.replace('postcode = "SW1"\n', "").replace("tls = false", "tls = true")
+    text = text.replace('postcode = "SW1"\n', "").replace('soc = "pylontech"\n', "")
+    text = text.replace("tls = false", "tls = true")
+    text = text.replace('kind = "tasmota"', 'kind = "mqtt"')
     config = parse(text)
     assert config.home.region_id == 13
     assert config.nights.ready_by == time(7, 0)
@@ -152,6 +154,19 @@ REFUSED = [
     ("nights.morning_minimum_pct = 0.5", "nights.morning_minimum_pct = 0.5", "write percent: 50"),
     ("relay.min_on_min = 900", "relay.min_on_min = 900", "looks like seconds; write 15"),
     ("can.bitrate = 250", "can.bitrate = 250", "looks like kbit/s; write 250000"),
+    # a charger
+    ("plug.min_current_a = 5", "plug.min_current_a = 5", "must be at least 6"),
+    ("plug.mains_voltage_v = 400", "plug.mains_voltage_v = 400", "must be at most 260"),
+    ('[plug]\nkind = "can_elcon"\nmin_current_a = 16', "plug.min_current_a = 16.0", "more than plug.max_current_a"),
+    ('[plug]\nkind = "can_elcon"\npower_kw = 1.2', "plug.power_kw = 1.2", "less than plug.min_current_a gives"),
+    ('can.interface = "vcan"', 'can.interface = "vcan"', "did you mean 'slcan'?"),
+    ("can.period_s = 5", "can.period_s = 5", "must be at most 2"),
+    ("can.max_voltage_v = 5000", "can.max_voltage_v = 5000", "must be at most 1000"),
+    ("can.max_current_a = 0", "can.max_current_a = 0", "must be at least 0.5"),
+    ('can.soc = "pylon"', 'can.soc = "pylon"', "did you mean 'pylontech'?"),
+    ('[can]\nsoc = "orion"\nsoc_dbc = "a"\nsoc_signal = "b"', 'can.soc = "orion"', "stands beside can.soc_dbc"),
+    ('can.soc_signal = "SOC"', 'can.soc_signal = "SOC"', "belong together"),
+    ('can.soc_dbc = "own.dbc"', "can.soc_signal", "belong together"),
     # out of range
     ("car.capacity_kwh = 0", "car.capacity_kwh = 0", "must be at least 1"),
     ("car.capacity_kwh = 600", "car.capacity_kwh = 600", "must be at most 500"),
@@ -179,6 +194,9 @@ REFUSED = [
     ('broker.topic = "/a"', 'broker.topic = "/a"', "plain MQTT topic"),
     ('plug.kind = "tasmotta"', 'plug.kind = "tasmotta"', "did you mean 'tasmota'?"),
     ('plug.kind = "xyzzy"', 'plug.kind = "xyzzy"', "must be one of 'tasmota', 'shelly2'"),
+    ('plug.mqtt.power_unit = "MW"', 'plug.mqtt.power_unit = "MW"', "must be one of 'W' or 'kW'"),
+    ('plug.mqtt.state_topic = "a/#"', 'plug.mqtt.state_topic = "a/#"', "plain MQTT topic"),
+    ('plug.mqtt.state_topik = "a"', 'plug.mqtt.state_topik = "a"', "did you mean plug.mqtt.state_topic?"),
     ('home.timezone = "Europe/Londn"', 'home.timezone = "Europe/Londn"', "write Europe/London"),
     ('home.timezone = "Europe"', 'home.timezone = "Europe"', "is no time zone"),
     ('home.timezone = "../../etc/passwd"', 'home.timezone = "../../etc/passwd"', "is no time zone"),
@@ -212,6 +230,14 @@ REFUSED = [
     ('car.soc_json_key = "soc"', 'car.soc_json_key = "soc"', "write car.soc_topic"),
     ('broker.password_file = "/x"', 'broker.password_file = "/x"', "write broker.username"),
     ('broker.ca_file = "/x"', 'broker.ca_file = "/x"', "write broker.tls = true"),
+    ('[plug]\ntopic = "a"\nmqtt.state_on = "1"', "plug.mqtt", "counts only for plug.kind mqtt, shelly1"),
+    ('[plug]\ntopic = "a"\nkind = "mqtt"\nmqtt.command_on = ""', 'plug.mqtt.command_on = ""', "must not be empty"),
+    ('[plug]\ntopic = "a"\nkind = "openevse"\npower_kw = 1.2', "plug.power_kw = 1.2", "less than plug.min_current_a"),
+    (
+        '[plug]\ntopic = "a"\nkind = "openevse"\nmax_current_a = 5',
+        "plug.min_current_a = 6",
+        "more than plug.max_current_a",
+    ),
     ("[nights.week]\nsat = {minimum_pct = 81}", "nights.week", "above car.soc_max_pct"),
     ('[nights.week]\nsat = {away = true, ready_by = "10:00"}', "nights.week", "remove one or the other"),
 ]
@@ -397,6 +423,7 @@ def outcome(text: str) -> Config | str:
 @given(st.one_of(st.text(max_size=200), ASSIGNMENTS, ASSIGNMENTS.map(lambda a: f'plug.topic = "x"\n{a}')))
 @example('"\\u2028\\n" = 1')
 @example('broker.password = "\\u0085"')
+@example('"\\n." = false')
 def test_whatever_is_written_it_is_a_configuration_or_one_line(text: str) -> None:
     result = outcome(text)
     if isinstance(result, str):

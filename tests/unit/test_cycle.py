@@ -14,12 +14,15 @@ from plugd.domain import (
     Overrides,
     Presence,
     Relay,
+    SessionPlan,
     SetConnected,
     SetMode,
     Setpoint,
     SetSoc,
+    SetTrip,
     SlotSource,
     Status,
+    Trip,
 )
 from plugd.errors import ForecastMalformed, ForecastUnavailable, PlugFault, PlugRefused, PlugTimeout
 from plugd.perception import fresh
@@ -40,6 +43,11 @@ def waiting(start: datetime = NIGHT) -> Room:
     found.step()
     assert found.plug.told == [OFF]
     return found
+
+
+def sessions_of(house: Room) -> tuple[SessionPlan, ...]:
+    plan = house.cycle.memory.plan
+    return plan.sessions if plan else ()
 
 
 def seconds(moments: list[datetime]) -> list[float]:
@@ -66,6 +74,38 @@ def test_it_plans_at_once_on_a_command(command: Command) -> None:
     assert [answer.ok for answer in house.hub.answers] == [True]
     house.step(NIGHT + minutes(8))
     assert house.solver.calls == 2
+
+
+def test_a_car_that_says_the_same_every_second_makes_no_plan_of_every_word() -> None:
+    house = room()
+    house.step()
+    solved, saved = house.solver.calls, house.disk.saves
+    for second in range(1, 600):
+        house.hub.said.append(SetSoc(0.601, source="car"))
+        house.step(EVENING + timedelta(seconds=second))
+    assert (house.solver.calls - solved, house.disk.saves - saved) == (2, 2)
+    assert (house.cycle.memory.soc.mean, house.cycle.memory.soc.source) == (0.601, "car")
+
+
+def test_a_car_that_falls_silent_is_no_longer_the_one_who_says_it() -> None:
+    house = room()
+    house.hub.said.append(SetSoc(0.6, source="car"))
+    house.step()
+    house.run(EVENING + minutes(29))
+    assert house.cycle.memory.soc.source == "car"
+    house.run(EVENING + minutes(61))
+    assert house.cycle.memory.soc.source == "meter"
+
+
+def test_a_trip_is_planned_for_at_once() -> None:
+    house = waiting()
+    before = {s.session.end: s.session.minimum for s in sessions_of(house)}
+    trip = Trip(READY_BY.date() + timedelta(days=1), minimum=0.75)
+    house.hub.said.append(SetTrip(trip))
+    house.step(NIGHT + minutes(1))
+    after = {s.session.end: s.session.minimum for s in sessions_of(house)}
+    assert after == {end: 0.75 if end.date() == trip.day else minimum for end, minimum in before.items()}
+    assert 0.75 in after.values()
 
 
 def test_it_plans_at_once_on_a_press() -> None:

@@ -99,3 +99,126 @@ def test_whatever_the_meter_says_the_estimate_stays_a_state_of_charge(
 def test_a_told_soc_ends_the_doubt() -> None:
     estimate = soc.told(soc.driven(known(), ((NOW, 30),), CAR), 0.62, NOW, "hub")
     assert replace(estimate, meter_kwh=None, metered_at=None) == SocEstimate(0.62, soc.TOLD_SD, "hub", NOW, NOW)
+
+
+# -- what the car itself says ---------------------------------------------------------------------
+
+
+def words(estimate: SocEstimate, *said: tuple[float, float]) -> SocEstimate:
+    """After words of the car: (seconds from NOW, SOC)."""
+    for seconds, value in said:
+        estimate = soc.heard(estimate, value, NOW + timedelta(seconds=seconds))
+    return estimate
+
+
+@pytest.mark.parametrize("glitch", [0.0, 0.01, 0.3, 0.7, 1.0])
+def test_a_word_that_jumps_is_not_believed_at_once(glitch: float) -> None:
+    before = words(soc.unknown(NOW), (0, 0.5))
+    after = words(before, (30, glitch))
+    assert after == replace(before, doubted=glitch, doubted_at=NOW + timedelta(seconds=30))
+    assert soc.cautious(after) == soc.cautious(before)
+    assert words(after, (60, 0.51)) == words(before, (60, 0.51)), "a glitch leaves no trace"
+
+
+@pytest.mark.parametrize("jump", [0.0, 0.2, 0.9])
+def test_a_jump_that_is_said_again_after_a_minute_is_believed(jump: float) -> None:
+    before = words(soc.unknown(NOW), (0, 0.5))
+    assert words(before, (10, jump), (60, jump)).mean == 0.5
+    after = words(before, (10, jump), (60, jump), (71, jump + 0.01))
+    assert after.mean == pytest.approx(jump + 0.01)
+    assert after.doubted is None
+
+
+def test_two_glitches_that_differ_do_not_confirm_each_other() -> None:
+    before = words(soc.unknown(NOW), (0, 0.5))
+    after = words(before, (10, 0.0), (80, 0.95))
+    assert (after.mean, after.doubted) == (0.5, 0.95)
+
+
+@pytest.mark.parametrize(("minutes", "believed"), [(1, False), (5, False), (10, True), (600, True)])
+def test_how_far_a_word_may_be_off_grows_with_the_time_since_the_last(minutes: float, believed: bool) -> None:
+    after = words(soc.unknown(NOW), (0, 0.5), (60 * minutes, 0.9))
+    assert (after.mean == 0.9) is believed
+
+
+def test_the_first_word_of_all_is_believed() -> None:
+    assert words(soc.unknown(NOW), (1, 0.05)).mean == 0.05
+
+
+def test_a_clock_set_back_does_not_make_the_car_unheard_for_ever() -> None:
+    before = words(soc.unknown(NOW), (7200, 0.5), (7210, 0.8))
+    assert words(before, (0, 0.8), (61, 0.8)).mean == 0.8
+
+
+def test_a_word_that_does_not_move_while_energy_flows_lowers_what_is_promised_and_not_the_mean() -> None:
+    estimate = known(0.5)
+    for minute in range(5, 125, 5):
+        kwh, now = 100.0 + 2.3 * minute / 60, NOW + timedelta(minutes=minute)
+        estimate = soc.metered(estimate, reading(minute, kwh), CAR, POWER_KW)
+        if soc.is_news(estimate, 0.5, now):
+            estimate = soc.heard(estimate, 0.5, now)
+    assert estimate.mean == pytest.approx(0.5 + 4.6 * 0.9 / 50)
+    assert soc.cautious(estimate) == pytest.approx(0.5, abs=0.021)
+    assert estimate.told_at is not None
+    assert NOW + timedelta(minutes=50) < estimate.told_at < NOW + timedelta(minutes=65), "then it was an old word"
+    moved = soc.heard(estimate, 0.58, NOW + timedelta(minutes=125))
+    assert (moved.mean, moved.sd) == (0.58, soc.TOLD_SD)
+
+
+def test_a_car_that_counts_in_whole_points_does_not_take_back_what_has_flowed() -> None:
+    carried = soc.metered(known(0.5), reading(30, 101.15), CAR, POWER_KW)
+    later = NOW + timedelta(minutes=30)
+    assert soc.heard(carried, 0.5, later) == replace(carried, told_at=later)
+    assert soc.heard(carried, 0.52, later).mean == 0.52
+
+
+def test_the_same_word_after_a_day_that_was_not_driven_is_believed() -> None:
+    driven = soc.driven(known(0.5), ((NOW, 1),), CAR)
+    later = NOW + timedelta(minutes=30)
+    assert soc.is_news(driven, 0.5, later)
+    assert soc.heard(driven, 0.5, later).mean == 0.5
+
+
+def test_a_car_that_speaks_every_second_does_not_make_a_decision_of_every_word() -> None:
+    estimate, decisions = words(soc.unknown(NOW), (0, 0.5)), 0
+    for second in range(1, 3600):
+        word, now = 0.5 + 0.1 * second / 3600, NOW + timedelta(seconds=second)
+        if soc.is_news(estimate, word, now):
+            estimate, decisions = soc.heard(estimate, word, now), decisions + 1
+    assert decisions == 11, "one in five minutes"
+    assert estimate.mean == pytest.approx(0.6, abs=soc.SAME)
+
+
+def test_a_doubted_word_that_is_repeated_every_second_is_news_twice() -> None:
+    estimate = words(soc.unknown(NOW), (0, 0.5))
+    news: list[int] = []
+    for second in range(1, 100):
+        now = NOW + timedelta(seconds=second)
+        if soc.is_news(estimate, 0.9, now):
+            estimate, news = soc.heard(estimate, 0.9, now), [*news, second]
+    assert news == [1, 61]
+    assert estimate.mean == 0.9
+
+
+@pytest.mark.parametrize(("minutes", "source"), [(29, "car"), (30, "car"), (31, "meter")])
+def test_an_old_word_is_no_longer_called_the_cars(minutes: float, source: str) -> None:
+    told = words(soc.unknown(NOW), (0, 0.5))
+    aged = soc.aged(told, NOW + timedelta(minutes=minutes), CAR)
+    assert aged == replace(told, source=source)
+
+
+def test_a_persons_word_does_not_age_into_the_meters() -> None:
+    told = soc.told(soc.unknown(NOW), 0.5, NOW, "hub")
+    assert soc.aged(told, NOW + timedelta(days=3), CAR) == told
+
+
+@given(
+    said=st.lists(st.tuples(st.integers(0, 7200), st.floats(0, 1)), max_size=20),
+    first=st.floats(0, 1),
+)
+def test_whatever_the_car_says_the_estimate_stays_a_fraction_and_somebody_said_it(
+    said: list[tuple[int, float]], first: float
+) -> None:
+    estimate = words(soc.unknown(NOW), (0, first), *[(float(at), value) for at, value in sorted(said)])
+    assert estimate.mean in [first, *[value for _, value in said]]
+    assert estimate.doubted is None or estimate.doubted != estimate.mean

@@ -1,0 +1,23 @@
+"""A week of the demo with the charger on CAN. Fails where a morning is missed."""
+
+import json
+import subprocess
+import sys
+
+DAYS = 7
+
+
+def main() -> int:
+    """Run it; returns the exit status."""
+    options = ("--plug", "can_elcon", "--days", str(DAYS), "--json")
+    ended = subprocess.run(
+        [sys.executable, "-m", "plugd", "demo", *options], check=True, stdout=subprocess.PIPE, text=True
+    )
+    told = json.loads(ended.stdout)
+    nights = len(told.pop("nights"))
+    sys.stdout.write(f"{nights} nights, {json.dumps(told)}\n")
+    return 0 if nights == DAYS and told["missed_mornings"] == 0 else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
