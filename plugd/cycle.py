@@ -8,6 +8,7 @@ from typing import TypeVar
 from plugd import commands
 from plugd.beat import LEASE, Action, is_on
 from plugd.beat import Cause as By
+from plugd.book import Book
 from plugd.controller import Controller
 from plugd.domain import (
     Command,
@@ -77,6 +78,8 @@ class Cycle:
     spread: Callable[[], float]
     """A number in 0..1 for pauses between retries."""
     forecast: Forecast | None = None
+    book: Book | None = None
+    """The ledger, where one is kept."""
     faults: dict[tuple[str, str], Fault] = field(default_factory=dict)
     """By code, and by what failed where that has several ways to."""
     decision: Decision | None = None
@@ -111,6 +114,7 @@ class Cycle:
         if moved or changed:
             self._save()
         self._tend(now)
+        self._keep_book(now, reading, settle=due)
         self._publish(now, reading)
         return self._next(now, action)
 
@@ -266,8 +270,18 @@ class Cycle:
             return
         seen = self._seen(reading)
         fresh = self.controller.describe(now, seen, self.memory, self.decision.outlook)
+        fresh = replace(fresh, saved=self.book.saved(now) if self.book else None)
         self.shown = replace(fresh, answers=self.decision.answers if self.planned_at == now else ())
         self.hub.publish(fresh, reading)
+
+    def _keep_book(self, now: datetime, reading: Reading | None, settle: bool) -> None:
+        """Enter what happened into the ledger, after all that matters more."""
+        book, decision = self.book, self.decision
+        if book is None or decision is None:
+            return
+        self._stored("book", lambda: book.note(now, reading, decision, self.memory), None)
+        if settle:
+            self._stored("settle", lambda: book.settle(now), None)
 
     def _save(self) -> None:
         self._stored("save", lambda: self.store.save(self.memory), None)

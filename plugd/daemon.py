@@ -21,12 +21,14 @@ from plugd.adapters.shelly2 import Shelly2
 from plugd.adapters.store import SqliteStore
 from plugd.adapters.switched import SwitchedPlug
 from plugd.adapters.tasmota import Tasmota
+from plugd.book import Book
 from plugd.config import Config, household
 from plugd.config.sections import MODULATING
 from plugd.controller import Controller
 from plugd.cycle import Cycle
 from plugd.domain import Capability, Decision, Forecast, Memory
 from plugd.errors import ConfigError, StoreError
+from plugd.page import opened_page
 from plugd.planner.qp import Qp
 from plugd.ports import Clock, Plug, Tended
 from plugd.units import kw_of
@@ -129,9 +131,10 @@ def cycle_for(config: Config, clock: Clock, connection: MqttConnection, store: S
     remembered = _remembered(store)
     home = household(config, plug.capability)
     seed = f"{config.name}/{config.plug.topic}"
+    source = source_for(config)
     return Cycle(
         clock=clock,
-        source=source_for(config),
+        source=source,
         plug=plug,
         hub=hub_for(config, connection, plug),
         store=store,
@@ -139,6 +142,7 @@ def cycle_for(config: Config, clock: Clock, connection: MqttConnection, store: S
         memory=remembered or perception.fresh(clock.now()),
         spread=random.Random(seed).random,
         forecast=kept_forecast(store, config),
+        book=Book(store, source, home),
     )
 
 
@@ -228,11 +232,12 @@ def run(config: Config, clock: Clock) -> None:
         connection.wait_connected(BROKER_PATIENCE_S)
         log.info("plugd runs for %s on %s:%s", config.name, config.broker.host, config.broker.port)
         hub = cycle.hub
+        inbox = left.enter_context(opened_page(config, state_folder(config), (clock, cycle, connection)))
         journal = Journal()
         while not stop.asked:
             due = cycle.step()
             journal.note(cycle.shown)
-            cycle.rest(due, connection, lambda: stop.asked)
+            cycle.rest(due, inbox, lambda: stop.asked)
         if isinstance(hub, MqttHub):
             hub.close()
             connection.flush()

@@ -503,6 +503,14 @@ class Memory:
 
 
 @dataclass(frozen=True, slots=True)
+class Savings:
+    """Grams saved against charging on arrival: in the night under way or just over, and since the ledger began."""
+
+    today_g: float
+    total_g: float
+
+
+@dataclass(frozen=True, slots=True)
 class Decision:
     """What one tick decided, and why."""
 
@@ -515,6 +523,8 @@ class Decision:
     forecast_issued_at: datetime | None = None
     faults: tuple[Fault, ...] = ()
     answers: tuple[Answer, ...] = ()
+    saved: Savings | None = None
+    """None where no ledger is kept."""
 
 
 @dataclass(frozen=True, slots=True)

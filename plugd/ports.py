@@ -17,6 +17,7 @@ from plugd.domain import (
     Record,
     Wanted,
 )
+from plugd.ledger import HalfHour
 
 
 class Inbox(Protocol):
@@ -132,3 +133,27 @@ class Store(Protocol):
 
     def history(self, since: datetime) -> tuple[Intensity, ...]:
         """Intensities seen of half hours from `since` on: measured where known, else last expected."""
+
+
+class Books(Protocol):
+    """Where the ledger outlives a restart."""
+
+    def half_hours(self, since: datetime | None = None) -> tuple[HalfHour, ...]:
+        """The entries from `since` on, in order of time. Raises StoreError."""
+
+    def enter(self, rows: Sequence[HalfHour]) -> None:
+        """Keep half hours, in place of what was kept of them. Raises StoreError."""
+
+    def measure(self, region: str, values: Sequence[Intensity]) -> None:
+        """Keep measured intensities. Raises StoreError."""
+
+
+class MeasuredSource(Protocol):
+    """Where measured intensities come from."""
+
+    @property
+    def region(self) -> str:
+        """What its forecasts call their region."""
+
+    def measured(self, start: datetime, end: datetime) -> Sequence[Intensity]:
+        """What was measured in [start, end), none where nobody measures. Raises ForecastError."""

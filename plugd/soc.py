@@ -140,16 +140,21 @@ def metered(
 
 
 def _flowed_kwh(estimate: SocEstimate, reading: Reading, power_max_kw: float) -> float:
-    """Energy at the plug since the last reading, never negative and never more than could have flowed."""
-    if reading.energy_kwh is None or estimate.meter_kwh is None:
+    if reading.energy_kwh is None or reading.metered_at is None:
         return 0.0
-    flowed_kwh = reading.energy_kwh - estimate.meter_kwh
+    span = None if estimate.metered_at is None else reading.metered_at - estimate.metered_at
+    return flowed_kwh(estimate.meter_kwh, reading.energy_kwh, span, power_max_kw)
+
+
+def flowed_kwh(before_kwh: float | None, after_kwh: float, span: timedelta | None, power_max_kw: float) -> float:
+    """Energy between two totals of the meter, never negative and never more than could have flowed in `span`."""
+    if before_kwh is None:
+        return 0.0
+    flowed_kwh = after_kwh - before_kwh
     if flowed_kwh < 0.0:
-        flowed_kwh = reading.energy_kwh if 0.0 <= reading.energy_kwh < RESET_KWH else 0.0
-    if estimate.metered_at is not None and reading.metered_at is not None:
-        most_kwh = 1.5 * power_max_kw * hours(reading.metered_at - estimate.metered_at) + 0.1
-        if flowed_kwh > most_kwh:
-            return 0.0
+        flowed_kwh = after_kwh if 0.0 <= after_kwh < RESET_KWH else 0.0
+    if span is not None and flowed_kwh > 1.5 * power_max_kw * hours(span) + 0.1:
+        return 0.0
     return flowed_kwh
 
 

@@ -104,3 +104,13 @@ def is_number(value: object) -> TypeGuard[float]:
 def iso(moment: datetime) -> str:
     """ISO 8601 in UTC to the second, ending in Z: how plugd writes times for programs."""
     return require_utc(moment).strftime("%Y-%m-%dT%H:%M:%SZ")
+
+
+def grams(value: float) -> str:
+    """Grams for people: kg from a kilogram on."""
+    return f"{value / 1000:.1f} kg" if abs(value) >= 999.5 else f"{value:.0f} g"
+
+
+def rounded(value: float | None, digits: int) -> float | None:
+    """Rounded for people; None stays None."""
+    return None if value is None else round(value, digits)

@@ -39,6 +39,12 @@ def find_dask() -> Path | None:
     return Path(found.origin) if found is not None and found.origin else None
 
 
+def find_chromedriver() -> Path | None:
+    """What drives the browser."""
+    found = shutil.which("chromedriver")
+    return Path(found) if found else None
+
+
 @dataclass(frozen=True, slots=True)
 class Component:
     """Something of the machine that some tests cannot do without."""
@@ -55,7 +61,11 @@ COMPONENTS = {
     ),
     "data": Component(find_data, "set PLUGD_DATA to the folder with neso_national_2023.csv", ("neso_data",)),
     "dask": Component(find_dask, "pip install 'plugd[dask]', or set up by make", ()),
-    "chromium": Component(find_chromium, "sudo apt install chromium", ("chromium",)),
+    "chromium": Component(
+        lambda: find_chromium() if find_chromedriver() else None,
+        "sudo apt install chromium chromium-driver",
+        ("chromium", "chromedriver"),
+    ),
 }
 LEFT_OUT = pytest.StashKey[Counter[str]]()
 
@@ -132,3 +142,12 @@ def neso_data() -> Path:
 def chromium() -> Path:
     """The browser's program."""
     return _found("chromium")
+
+
+@pytest.fixture(scope="session")
+def chromedriver() -> Path:
+    """What drives it."""
+    found = find_chromedriver()
+    if found is None:
+        pytest.skip("needs chromium-driver")
+    return found

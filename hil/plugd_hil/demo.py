@@ -61,7 +61,9 @@ base_url = "http://{host}:{neso_port}"
 [state]
 dir = "{state}"
 [web]
-enabled = false
+enabled = {page}
+bind = "127.0.0.1:{page_port}"
+token_file = "{token}"
 """
 
 
@@ -90,6 +92,10 @@ class Options:
     plug: str = "tasmota"
     soc: str = "arrival"
     json: bool = False
+    keep: Path | None = None
+    """Where the daemon's configuration and state stay, for `plugd report`; else nothing stays."""
+    page: int | None = None
+    """The page's port: it is open meanwhile and afterwards, while time goes on at its natural speed."""
 
 
 def series_for(options: Options) -> IntensitySeries:
@@ -168,8 +174,8 @@ def run(options: Options, progress: Callable[[float], None] = lambda _: None) ->
     series = series_for(options)
     household = Household(capability=Capability(POWER_KW, dead_man=True))
     start, end = span(options, series, ZoneInfo(household.timezone))
-    with tempfile.TemporaryDirectory(prefix="plugd-demo-") as name:
-        ledger, store_folder = _simulate(options, Path(name), start, end, progress)
+    with _folder(options) as folder:
+        ledger, store_folder = _simulate(options, folder, start, end, progress)
         truth = read_ledger(ledger)
         with SqliteStore(store_folder) as store:
             records = store.records(start)
@@ -197,6 +203,24 @@ def run(options: Options, progress: Callable[[float], None] = lambda _: None) ->
         guarded=memory.guard_count if memory else 0,
         wall_s=time.monotonic() - began,
     )
+
+
+@contextmanager
+def _folder(options: Options) -> Iterator[Path]:
+    """Where the parts work. Raises UsageError for one to keep that holds something already."""
+    if options.keep is None:
+        with tempfile.TemporaryDirectory(prefix="plugd-demo-") as name:
+            yield Path(name)
+        return
+    folder = options.keep.absolute()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        empty = not any(folder.iterdir())
+    except OSError as error:
+        raise UsageError(f"--keep {folder}: cannot be used ({error.strerror})") from error
+    if not empty:
+        raise UsageError(f"--keep {folder}: is not empty; name a new folder")
+    yield folder
 
 
 def _endless(actual: Callable[[datetime], float], series: IntensitySeries) -> Callable[[datetime], float]:
@@ -244,7 +268,9 @@ def _simulate(
             "plug", *stub, "--power", str(POWER_KW), "--soc", str(100 * SOC_START), "--car", "driver",
             "--seed", str(options.seed), "--clock", clock, "--ledger", str(ledger), "--tell", options.soc, says=True,
         )  # fmt: skip
-        config = folder / "plugd.toml"
+        config, token = folder / "plugd.toml", folder / "token"
+        token.write_text("demo\n", encoding="utf-8")
+        token.chmod(0o600)
         config.write_text(
             CONFIG.format(
                 host=HOST,
@@ -254,12 +280,17 @@ def _simulate(
                 neso_port=neso["port"],
                 state=state,
                 more=_plug_config(options, plug),
+                page="false" if options.page is None else "true",
+                page_port=options.page or 8480,
+                token=token,
             ),
             encoding="utf-8",
         )
         configuration.load(config)
         children.start("plugd", "plugd_hil.daemon", "-c", str(config), "--clock", clock)
         _let_pass(conductor, children, broker, (start, end), progress)
+        if options.page is not None:
+            _stand_open(conductor, children, end, options.page)
         children.running["plugd"].terminate()
         conductor.dismiss("plugd", lambda: children.ended("plugd"))
         children.running["plug"].terminate()
@@ -302,6 +333,17 @@ def _let_pass(
     except (ConnectionError, TimeoutError) as error:
         children.look(patience_s=1.0)
         raise PlugdError(f"the demo stopped: {error}") from error
+
+
+def _stand_open(conductor: Conductor, children: Children, end: datetime, port: int) -> None:
+    """Time goes on at its natural speed, so that the page can be tried, until Ctrl-C."""
+    print(f"The page is at http://{HOST}:{port}/ (token: demo). Ctrl-C ends.", file=sys.stderr, flush=True)
+    began = time.monotonic()
+    with suppress(KeyboardInterrupt):
+        while True:
+            time.sleep(0.2)
+            until = end + timedelta(seconds=time.monotonic() - began)
+            conductor.run_until(until, lambda _: children.look())
 
 
 # -- the command ----------------------------------------------------------------------------------
@@ -361,6 +403,10 @@ def _parsed(arguments: Sequence[str] | None) -> Options:
     parser.add_argument("--plug", default="tasmota", choices=(*DIALECTS, CAN), help="which dialect the plug speaks")
     parser.add_argument("--soc", default="arrival", choices=("arrival", "never"), help="when the car tells its SOC")
     parser.add_argument("--json", action="store_true", help="one JSON document, and nothing else")
+    parser.add_argument("--keep", type=Path, metavar="DIR", help="keep the daemon's state there, for plugd report")
+    parser.add_argument(
+        "--page", type=int, nargs="?", const=8480, metavar="PORT", help="show the page, and let time go on at the end"
+    )
     asked = parser.parse_args(arguments)
     if not 1 <= asked.days <= MOST_DAYS:
         parser.error(f"--days {asked.days}: choose 1 to {MOST_DAYS}")
@@ -371,7 +417,9 @@ def _parsed(arguments: Sequence[str] | None) -> Options:
             start = require_utc(datetime.combine(date.fromisoformat(asked.start), clock_time(12), zone))
         except ValueError:
             parser.error(f"--from {asked.start}: write a date as 2023-01-02")
-    return Options(asked.days, start, asked.seed, asked.source, asked.plug, asked.soc, asked.json)
+    return Options(
+        asked.days, start, asked.seed, asked.source, asked.plug, asked.soc, asked.json, asked.keep, asked.page
+    )
 
 
 @contextmanager
@@ -397,6 +445,8 @@ def _told(options: Options, outcome: Outcome, household: Household) -> None:
         console.print("The intensity is synthetic: a GB-like year of plugd's own making.", style="italic")
     console.print(table(outcome, household))
     console.print(summary(outcome))
+    if options.keep is not None:
+        console.print(f"Kept: plugd -c {options.keep / 'plugd.toml'} report --out report.html", soft_wrap=True)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -7,7 +7,7 @@ from datetime import datetime, timedelta
 from typing import Any
 from zoneinfo import ZoneInfo
 
-from plugd import __version__, reasons, soc
+from plugd import __version__, reasons, sessions, soc
 from plugd.adapters import homeassistant
 from plugd.adapters.mqtt import Message, MqttConnection, Retained
 from plugd.command_words import MAX_BYTES, WEEKDAYS, NoSuchKey, NotKnown, Refused, car_soc, parse
@@ -18,9 +18,11 @@ from plugd.domain import (
     Decision,
     Fault,
     Household,
+    Memory,
     Outlook,
     Overrides,
     Reading,
+    SessionPlan,
     SetSoc,
     Status,
     Switching,
@@ -231,6 +233,14 @@ def _forecast_age_min(decision: Decision, issued_at: datetime | None) -> int | N
     return None if issued_at is None else int((decision.at - issued_at).total_seconds() // 60)
 
 
+def _morning_soc(tonight: SessionPlan, now: datetime, memory: Memory, household: Household) -> float:
+    """What to expect at the session end: above the plan's cautious SOC by as much as the mean is when it begins."""
+    begins = max(now, tonight.session.start)
+    homecomings = sessions.drives(household, memory.overrides, memory.presence, memory.soc.driven_to, begins)
+    at_home = soc.driven(memory.soc, homecomings, household.car)
+    return min(1.0, tonight.soc_end + at_home.mean - soc.cautious(at_home))
+
+
 def state(decision: Decision, reading: Reading | None, household: Household) -> dict[str, Any]:
     """The retained state document. Absent knowledge is null, never 0."""
     memory, now = decision.memory, decision.at
@@ -245,7 +255,6 @@ def state(decision: Decision, reading: Reading | None, household: Household) -> 
     zone = ZoneInfo(household.timezone)
     today = [at for at in memory.switch_ons if at.astimezone(zone).date() == now.astimezone(zone).date()]
     outlook = decision.outlook
-    doubt = memory.soc.mean - soc.cautious(memory.soc)
     return {
         "at": iso(now),
         "mode": memory.overrides.mode.value,
@@ -266,14 +275,13 @@ def state(decision: Decision, reading: Reading | None, household: Household) -> 
         "next_stop": iso(stop) if stop else None,
         "ready_at": iso(max(ends)) if ends and not outranked else None,
         "ready_by": iso(tonight.session.end) if tonight else None,
-        # The plan is made on the cautious SOC; what is to be expected is as much higher as the mean is now.
-        "morning_soc_pct": to_pct(min(1.0, tonight.soc_end + doubt)) if tonight else None,
+        "morning_soc_pct": to_pct(_morning_soc(tonight, now, memory, household)) if tonight else None,
         "minimum_pct": to_pct(tonight.session.minimum) if tonight else None,
         "shortfall_kwh": round(tonight.shortfall_kwh, 3) if tonight else None,
         "at_risk": reasons.at_risk(now, memory, household, decision.faults),
         "settings": settings(memory.overrides, household),
-        "saved_g_today": None,
-        "saved_g_total": None,
+        "saved_g_today": round(decision.saved.today_g, 1) if decision.saved else None,
+        "saved_g_total": round(decision.saved.total_g, 1) if decision.saved else None,
         "switch_ons_today": len(today),
         "forecast_age_min": _forecast_age_min(decision, decision.forecast_issued_at),
         "forecast_until": iso(outlook.forecast_until) if outlook and outlook.forecast_until else None,

@@ -20,7 +20,7 @@ import urllib3.exceptions as urllib3_errors
 
 from plugd import __version__
 from plugd.adapters.neso_body import NATIONAL, PastRow, error_message, parse, parse_past, quotable
-from plugd.domain import Forecast
+from plugd.domain import Forecast, Intensity
 from plugd.errors import ConfigError, ForecastError, ForecastMalformed, ForecastUnavailable
 from plugd.units import iso, slot_start
 
@@ -77,6 +77,15 @@ class Neso:
         """What the API tells of [start, end), at most `LONGEST`. Raises ForecastUnavailable, ForecastMalformed."""
         question = self._question.format(_stamp(start), _stamp(end))
         return parse_past(self._ask(self._base_url + question, end), start, end, self._region)
+
+    def measured(self, start: datetime, end: datetime) -> tuple[Intensity, ...]:
+        """What was measured in [start, end), at most 14 days: of the nation, for nobody measures a region.
+
+        Raises ForecastUnavailable, ForecastMalformed.
+        """
+        if self._region != NATIONAL:
+            return ()
+        return tuple(Intensity(row.start, row.actual) for row in self.past(start, end) if row.actual is not None)
 
     def _ask(self, url: str, now: datetime) -> bytes:
         if self._asking is not None and self._asking.is_alive():

@@ -5,11 +5,11 @@ cut from the next save on. Forecasts are kept as issued for 13 months, packed.
 """
 
 import zlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import UTC, date, datetime
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 from pydantic import TypeAdapter, ValidationError
 
@@ -17,6 +17,7 @@ from plugd.adapters.store_file import StoreFile
 from plugd.adapters.store_pack import pack, unpack
 from plugd.domain import Forecast, Intensity, Memory, Record
 from plugd.errors import StoreError
+from plugd.ledger import HalfHour
 from plugd.units import HALF_HOUR, require_utc, slot_start
 
 MOST_FORECASTS = 400 * 48
@@ -35,8 +36,25 @@ MIGRATIONS = (
         region TEXT NOT NULL, start INTEGER NOT NULL, expected REAL, actual REAL, PRIMARY KEY (region, start)
     ) WITHOUT ROWID;
     """,
+    """
+    CREATE TABLE half_hour (
+        start INTEGER PRIMARY KEY, night TEXT NOT NULL, kwh REAL NOT NULL, g_per_kwh REAL NOT NULL,
+        final_g_per_kwh REAL, soc REAL NOT NULL, switch_ons INTEGER NOT NULL, arrival REAL NOT NULL,
+        arrival_told INTEGER NOT NULL, limit_kw REAL NOT NULL, session_end REAL, minimum REAL,
+        meter_kwh REAL, metered_at REAL
+    );
+    """,
 )
 """Each brings a store from the version of its place to the next; `user_version` counts those done."""
+
+MOST_HALF_HOURS = 20 * 366 * 48
+"""The ledger is small, and its totals are for life."""
+LEDGER_COLUMNS = (
+    *("start", "night", "kwh", "g_per_kwh", "final_g_per_kwh", "soc", "switch_ons", "arrival", "arrival_told"),
+    *("limit_kw", "session_end", "minimum", "meter_kwh", "metered_at"),
+)
+LEDGER = ", ".join(LEDGER_COLUMNS)
+_TIMES = ("start", "arrival", "session_end", "metered_at")
 
 _MEMORY = TypeAdapter(Memory)
 _RECORD = TypeAdapter(Record)
@@ -141,11 +159,7 @@ class SqliteStore:
             )
             self._db.execute("DELETE FROM forecast WHERE id <= ?", [(row.lastrowid or 0) - MOST_FORECASTS])
             for column, values in (("expected", expected), ("actual", actual)):
-                self._db.executemany(
-                    f"INSERT INTO seen (region, start, {column}) VALUES (?, ?, ?) ON CONFLICT DO UPDATE "
-                    f"SET {column} = excluded.{column} WHERE {column} IS NOT excluded.{column}",
-                    [(forecast.region, int(_epoch_s(start)), value) for start, value in values],
-                )
+                self._see(forecast.region, column, values)
             oldest = "SELECT start FROM seen ORDER BY start DESC LIMIT 1 OFFSET ?"
             self._db.execute(f"DELETE FROM seen WHERE start <= ({oldest})", [MOST_SEEN])
 
@@ -198,11 +212,67 @@ class SqliteStore:
             ).fetchall()
         return tuple(Intensity(_moment(start), value) for start, value in rows)
 
+    def half_hours(self, since: datetime | None = None) -> tuple[HalfHour, ...]:
+        """The ledger from `since` on, in order of time. Raises StoreError."""
+        with self._file.told():
+            rows = self._db.execute(
+                f"SELECT {LEDGER} FROM half_hour WHERE start >= ? ORDER BY start",
+                [0.0 if since is None else _epoch_s(since)],
+            ).fetchall()
+        return tuple(_half_hour(*row) for row in rows)
+
+    def enter(self, rows: Sequence[HalfHour]) -> None:
+        """Keep half hours of the ledger, in place of what was kept of them. Raises StoreError."""
+        with self._file.writing("NORMAL"):
+            self._db.executemany(
+                f"INSERT OR REPLACE INTO half_hour ({LEDGER}) VALUES ({', '.join('?' * len(LEDGER_COLUMNS))})",
+                [_ledger_row(row) for row in rows],
+            )
+            oldest = "SELECT start FROM half_hour ORDER BY start DESC LIMIT 1 OFFSET ?"
+            self._db.execute(f"DELETE FROM half_hour WHERE start <= ({oldest})", [MOST_HALF_HOURS])
+
+    def measure(self, region: str, values: Sequence[Intensity]) -> None:
+        """Keep measured intensities of half hours that are over. Raises StoreError."""
+        with self._file.writing("NORMAL"):
+            self._see(region, "actual", [(value.start, value.g_per_kwh) for value in values])
+
+    def measured(self, since: datetime) -> tuple[Intensity, ...]:
+        """What was measured from `since` on, of the last forecast's region. Raises StoreError."""
+        with self._file.told():
+            rows = self._db.execute(
+                "SELECT start, actual FROM seen WHERE actual IS NOT NULL AND start >= ? AND "
+                "region = (SELECT region FROM forecast ORDER BY id DESC LIMIT 1) ORDER BY start",
+                [_epoch_s(since)],
+            ).fetchall()
+        return tuple(Intensity(_moment(start), value) for start, value in rows)
+
+    def _see(self, region: str, column: str, values: list[tuple[datetime, float]]) -> None:
+        self._db.executemany(
+            f"INSERT INTO seen (region, start, {column}) VALUES (?, ?, ?) ON CONFLICT DO UPDATE "
+            f"SET {column} = excluded.{column} WHERE {column} IS NOT excluded.{column}",
+            [(region, int(_epoch_s(start)), value) for start, value in values],
+        )
+
     def _unpacked(self, issued_at: float, region: str, packed: bytes) -> Forecast:
         try:
             return unpack(_moment(issued_at), region, packed)
         except (zlib.error, ValueError, KeyError, TypeError) as error:
             raise StoreError(f"{self._file.path}: a kept forecast cannot be read; the next one will do") from error
+
+
+def _ledger_row(row: HalfHour) -> list[object]:
+    """A half hour's values, in the order of the columns."""
+    values = {name: getattr(row, name) for name in LEDGER_COLUMNS}
+    values |= {name: _epoch_s(values[name]) for name in _TIMES if values[name] is not None}
+    return list((values | {"night": row.night.isoformat(), "start": int(_epoch_s(row.start))}).values())
+
+
+def _half_hour(*columns: Any) -> HalfHour:
+    values = dict(zip(LEDGER_COLUMNS, columns, strict=True))
+    values |= {name: _moment(values[name]) for name in _TIMES if values[name] is not None}
+    return HalfHour(
+        **values | {"night": date.fromisoformat(values["night"]), "arrival_told": bool(values["arrival_told"])}
+    )
 
 
 def _epoch_s(moment: datetime) -> float:

@@ -168,6 +168,7 @@ class WebSection(Section):
     enabled: bool = True
     bind: Annotated[Text, AfterValidator(values.bind)] = "127.0.0.1:8480"
     token_file: File | None = None
+    hosts: list[Text] = []
 
 
 class Config(Section):

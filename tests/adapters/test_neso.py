@@ -580,3 +580,15 @@ def test_a_step_of_the_clock_does_not_lengthen_the_wait(stub: StubNeso) -> None:
     stub.fault = "silent"
     with pytest.raises(ForecastUnavailable):
         asking(stub, timeout_s=0.2).fetch(START + timedelta(days=3650))
+
+
+# -- what was measured ----------------------------------------------------------------------------
+
+
+def test_it_asks_for_what_was_measured_of_the_nation_only(stub: StubNeso) -> None:
+    start = slot_start(START) - timedelta(hours=6)
+    measured = asking(stub).measured(start, start + timedelta(hours=2))
+    assert stub.asked == ["/intensity/2023-03-14T11:00Z/2023-03-14T13:00Z"]
+    assert [value.start for value in measured] == [start + k * HALF_HOUR for k in range(4)]
+    assert asking(stub, region_id=13).measured(start, START) == ()
+    assert len(stub.asked) == 1

@@ -37,6 +37,7 @@ from plugd.domain import (
     Trip,
 )
 from plugd.errors import AlreadyRunning, StoreError
+from plugd.ledger import HalfHour
 from plugd.ports import Store
 from plugd.units import HALF_HOUR
 
@@ -391,3 +392,42 @@ def test_a_folder_that_cannot_be_is_told(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("", encoding="ascii")
     with pytest.raises(StoreError, match=r"check state\.dir"):
         SqliteStore(tmp_path / "file" / "state")
+
+
+# -- the ledger -----------------------------------------------------------------------------------
+
+ENTRY = HalfHour(
+    *(T0, 0.75, 120.0, None, 0.43, 1, date(2023, 3, 14), T0 + timedelta(minutes=7), True, 2.3),
+    *(T0 + timedelta(hours=11), 0.5, 12.25, T0 + timedelta(minutes=29)),
+)
+
+
+def test_half_hours_come_back_as_they_were_and_are_replaced(tmp_path: Path) -> None:
+    bare = replace(ENTRY, start=T0 + HALF_HOUR, session_end=None, minimum=None, meter_kwh=None, metered_at=None)
+    with SqliteStore(tmp_path) as store:
+        store.enter((bare, ENTRY))
+        assert store.half_hours() == (ENTRY, bare)
+        store.enter((replace(ENTRY, final_g_per_kwh=99.5),))
+    with SqliteStore(tmp_path) as store:
+        assert store.half_hours() == (replace(ENTRY, final_g_per_kwh=99.5), bare)
+        assert store.half_hours(T0 + HALF_HOUR) == (bare,)
+
+
+def test_measured_values_are_history_from_then_on(tmp_path: Path) -> None:
+    begin = T0 - timedelta(hours=2)
+    with SqliteStore(tmp_path) as store:
+        store.keep(Forecast(begin, "national", tuple(Intensity(begin + k * HALF_HOUR, 100.0) for k in range(4))))
+        store.keep(Forecast(T0, "national", (Intensity(T0, 100.0),)))
+        store.measure("national", (Intensity(begin, 77.0),))
+        store.measure("13", (Intensity(begin + HALF_HOUR, 11.0),))
+        assert [value.g_per_kwh for value in store.history(begin)] == [77.0, 100.0, 100.0, 100.0]
+        assert store.measured(begin) == (Intensity(begin, 77.0),)
+
+
+def test_a_store_of_the_first_version_gets_its_ledger(tmp_path: Path) -> None:
+    with sqlite3.connect(tmp_path / "plugd.db") as db:
+        db.executescript(f"{store_module.MIGRATIONS[0]} PRAGMA user_version = 1;")
+    db.close()
+    with SqliteStore(tmp_path) as store:
+        store.enter((ENTRY,))
+        assert store.half_hours() == (ENTRY,)

@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import requests
 
 from plugd.adapters.clock import utc_now
 from plugd.units import slot_start
-from plugd_hil.broker import Mosquitto
+from plugd_hil.broker import Mosquitto, free_port
 from tests.programs import Listener, Program
 
 pytestmark = pytest.mark.requires("mosquitto", "data")
@@ -221,3 +222,28 @@ def test_a_second_daemon_on_the_same_folder_is_refused_and_the_first_told_to_end
     assert not any("Traceback" in str(line) for line in first.complained.all)
     house.listener.until(f"{BASE}/availability", lambda said: said == "offline", after=before)
     assert house.relay() == moves
+
+
+def test_a_word_on_the_page_reaches_the_relay_within_two_seconds_and_the_page_ends_with_the_daemon(
+    house: House, tmp_path: Path
+) -> None:
+    token = tmp_path / "token"
+    token.write_text("an old oak\n")
+    token.chmod(0o600)
+    port = free_port()
+    text = house.config.read_text().replace("enabled = false", f'bind = "127.0.0.1:{port}"\ntoken_file = "{token}"')
+    house.config.write_text(text)
+    daemon = house.daemon()
+    house.settled(60, "off", "off")
+    page, seen = f"http://127.0.0.1:{port}", len(house.plug.said.all)
+    headers = {"Origin": page, "X-Plugd-Token": "an old oak"}
+    with requests.Session() as browser:
+        browser.trust_env = False
+        told = browser.post(f"{page}/command/mode", data="now", headers=headers, timeout=10.0)
+        assert told.json() == {"command": "mode", "ok": True, "message": "mode is now"}
+        house.plug.said.until(lambda line: line.get("event") == "on", 2.0, after=seen)
+        assert browser.get(f"{page}/api/state", timeout=10.0).json()["mode"] == "now"
+        assert "Charging now because you asked" in browser.get(page, timeout=10.0).text
+        daemon.process.terminate()
+        assert daemon.ends(within_s=5.0) == 0
+    assert not any("Traceback" in str(line) for line in daemon.complained.all)

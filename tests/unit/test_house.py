@@ -348,8 +348,8 @@ def test_ci_fails_with_what_it_runs(tmp_path: Path) -> None:
     good = ci("")
     assert good.returncode == 0
     assert (
-        "test needs mosquitto,data,dask\ncheck needs mosquitto,data,dask\nweeks needs mosquitto,data,dask"
-        in good.stdout
+        "test needs mosquitto,data,dask,chromium\ncheck needs mosquitto,data,dask,chromium\n"
+        "weeks needs mosquitto,data,dask,chromium" in good.stdout
     )
     assert ci("test").returncode != 0
     assert ci("weeks").returncode != 0

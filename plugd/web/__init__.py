@@ -1,0 +1,1 @@
+"""The status page, served from within the daemon (extra `web`)."""

@@ -1,0 +1,180 @@
+"""What the page says, in words and numbers for a person, out of a snapshot."""
+
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from typing import Any
+from zoneinfo import ZoneInfo
+
+from plugd import ledger
+from plugd.domain import Decision, Status
+from plugd.ledger import Night
+from plugd.score import LeadScore
+from plugd.units import grams, to_pct
+from plugd.web.desk import Snapshot
+from plugd.web.drawing import drawings
+
+STATUS = {
+    Status.WAITING_FOR_FORECAST: "waiting for a forecast",
+    Status.HOLDING: "holding for a cleaner night",
+    Status.WAITING: "waiting to start",
+    Status.CHARGING: "charging",
+    Status.BOOSTING: "charging now",
+    Status.READY: "ready",
+    Status.DISCONNECTED: "not plugged in",
+    Status.OFF: "off",
+    Status.FAULT: "needs you",
+}
+SHOWN_NIGHTS = 7
+
+
+@dataclass(frozen=True, slots=True)
+class Tile:
+    """One figure."""
+
+    name: str
+    value: str
+    more: str = ""
+
+
+def _clock(moment: datetime, now: datetime, zone: ZoneInfo) -> str:
+    """A moment as people say it: the time, with the weekday where it is not within a day."""
+    local = moment.astimezone(zone)
+    return f"{local:%H:%M}" if timedelta(0) <= moment - now < timedelta(hours=20) else f"{local:%a %H:%M}"
+
+
+def _ago(length_s: float) -> str:
+    minutes = int(length_s // 60)
+    return (
+        f"{minutes} min ago"
+        if minutes < 120
+        else f"{minutes // 60} h ago"
+        if minutes < 2880
+        else f"{minutes // 1440} days ago"
+    )
+
+
+def _battery(decision: Decision) -> Tile:
+    soc = decision.memory.soc
+    if soc.told_at is None:
+        return Tile("battery", f"{to_pct(soc.mean, 0):.0f} %", "nobody has told yet")
+    return Tile(
+        "battery",
+        f"{to_pct(soc.mean, 0):.0f} %",
+        f"told by {soc.source}, {_ago((decision.at - soc.told_at).total_seconds())}",
+    )
+
+
+def _when(snapshot: Snapshot) -> str:
+    """Which night the last savings are of."""
+    end = snapshot.nights[-1].session_end if snapshot.nights else None
+    return "of it last night" if end is not None and end <= snapshot.decision.at else "of it tonight"
+
+
+def tiles(snapshot: Snapshot, state: dict[str, Any]) -> list[Tile]:
+    """The figures at the top."""
+    decision, zone = snapshot.decision, ZoneInfo(snapshot.household.timezone)
+    now, plan = decision.at, decision.memory.plan
+    found = [_battery(decision)]
+    tonight = plan.sessions[0] if plan and plan.sessions else None
+    if tonight is not None:
+        by = _clock(tonight.session.end, now, zone)
+        minimum = f"at least {to_pct(tonight.session.minimum, 0):.0f} % by {by}"
+        found.append(Tile("in the morning", f"{state['morning_soc_pct']:.0f} %", minimum))
+    power_w = state["power_w"]
+    flowing = "-" if power_w is None else f"{power_w / 1000:.1f} kW"
+    found.append(Tile("power", flowing, "relay on" if decision.memory.relay_on else "relay off"))
+    if state["intensity_g_per_kwh"] is not None:
+        found.append(Tile("grid now", f"{state['intensity_g_per_kwh']:.0f} g", "CO2 per kWh"))
+    if decision.saved is not None:
+        found.append(Tile("saved", grams(decision.saved.total_g), f"{grams(decision.saved.today_g)} {_when(snapshot)}"))
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class NightLine:
+    """One night of the table."""
+
+    name: str
+    kwh: str
+    clean: str
+    arrival: str
+    best: str
+    saved: str
+    morning: str
+    missed: bool
+
+
+def night_line(night: Night) -> NightLine:
+    """A night for people."""
+    flowed = night.kwh > ledger.LITTLE_KWH
+    clean, arrival, best = (
+        f"{g / night.kwh:.0f}" if flowed else "-" for g in (night.carbon_g, night.on_arrival_g, night.best_g)
+    )
+    return NightLine(
+        name=f"{night.day:%a %-d %b}",
+        kwh=f"{night.kwh:.1f}",
+        clean=clean,
+        arrival=arrival,
+        best=best,
+        saved=grams(night.saved_g) if flowed else "-",
+        morning="" if night.morning_soc is None else f"{to_pct(night.morning_soc, 0):.0f} %",
+        missed=night.missed,
+    )
+
+
+def _seen(night: Night) -> bool:
+    return night.session_end is not None or night.kwh > ledger.LITTLE_KWH
+
+
+def says(snapshot: Snapshot) -> str:
+    """The picture in words, for those who do not see it."""
+    zone, now = ZoneInfo(snapshot.household.timezone), snapshot.decision.at
+    plan = snapshot.decision.memory.plan
+    nights = [
+        f"{p.session.start.astimezone(zone):%A}: {p.energy_kwh:.1f} kWh"
+        + ("" if p.intensity_g_per_kwh is None else f" at {p.intensity_g_per_kwh:.0f} grams per kWh")
+        for p in (plan.sessions if plan else ())
+        if p.session.end > now
+    ]
+    return "Planned: " + "; ".join(nights) + "." if nights else "Nothing is planned."
+
+
+def forecast_words(snapshot: Snapshot) -> str:
+    """How far the forecast reaches, and how old it is."""
+    decision, zone = snapshot.decision, ZoneInfo(snapshot.household.timezone)
+    outlook, issued = decision.outlook, decision.forecast_issued_at
+    if issued is None or outlook is None or outlook.forecast_until is None:
+        return "There is no forecast at the moment; the plan uses the usual day."
+    until = outlook.forecast_until.astimezone(zone)
+    age = _ago((decision.at - issued).total_seconds())
+    return f"Forecast of {age}, reaching to {until:%a %H:%M}; beyond it (dashed) the usual day."
+
+
+def live(snapshot: Snapshot, state: dict[str, Any], scores: tuple[LeadScore, ...]) -> dict[str, Any]:
+    """Everything on the page that changes by itself."""
+    nights = [night for night in snapshot.nights if _seen(night)]
+    local = snapshot.decision.at.astimezone(ZoneInfo(snapshot.household.timezone))
+    return {
+        "status": STATUS[snapshot.decision.status],
+        "reason": snapshot.decision.reason,
+        "at": f"{local:%a %-d %b, %H:%M}",
+        "faults": snapshot.decision.faults,
+        "tiles": tiles(snapshot, state),
+        "drawing": drawings(snapshot, says(snapshot)),
+        "forecast": forecast_words(snapshot),
+        "nights": [night_line(night) for night in nights[-SHOWN_NIGHTS:][::-1]],
+        "month": ledger.total(nights),
+        "scores": scores,
+        "trips": [_trip(trip) for trip in state["settings"]["trips"]],
+        "grams": grams,
+    }
+
+
+def _trip(trip: dict[str, Any]) -> dict[str, str]:
+    day = datetime.fromisoformat(trip["date"])
+    asked = [
+        "away" if trip.get("away") else "",
+        f"{trip['minimum_pct']:g} %" if "minimum_pct" in trip else "",
+        f"ready by {trip['ready_by']}" if "ready_by" in trip else "",
+    ]
+    return {"date": trip["date"], "words": f"{day:%A %-d %B}: {', '.join(filter(None, asked))}"}

@@ -1,0 +1,242 @@
+"""The page in a real browser: it loads, keeps itself fresh, sets what is set, and fits a phone."""
+
+from collections.abc import Callable, Iterator
+from datetime import date
+from pathlib import Path
+
+import pytest
+from selenium import webdriver
+from selenium.webdriver.chrome.options import Options
+from selenium.webdriver.chrome.service import Service
+from selenium.webdriver.common.by import By
+from selenium.webdriver.common.keys import Keys
+from selenium.webdriver.remote.webelement import WebElement
+from selenium.webdriver.support.ui import WebDriverWait
+
+from plugd.domain import Fault, Mode
+from tests.web.serving import TOKEN, Served
+
+pytestmark = [pytest.mark.requires("chromium"), pytest.mark.timeout(180)]
+
+FLAGS = (
+    *("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-dev-shm-usage"),
+    *("--disable-background-networking", "--disable-component-update", "--disable-sync", "--hide-scrollbars"),
+)
+PATIENCE_S = 20.0
+PHONE = (390, 844)
+
+
+@pytest.fixture(scope="module")
+def browser(chromium: Path, chromedriver: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[webdriver.Chrome]:
+    """A browser with an empty profile."""
+    options = Options()
+    options.binary_location = str(chromium)
+    for flag in (*FLAGS, f"--user-data-dir={tmp_path_factory.mktemp('profile')}", "--window-size=1000,1400"):
+        options.add_argument(flag)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    driver = webdriver.Chrome(options, Service(str(chromedriver)))
+    driver.set_page_load_timeout(60.0)
+    yield driver
+    driver.quit()
+
+
+class Sight:
+    """What a person does with the page."""
+
+    def __init__(self, browser: webdriver.Chrome, served: Served) -> None:
+        self.browser, self.served = browser, served
+        browser.get_log("browser")  # type: ignore[no-untyped-call]
+        browser.get(f"http://{served.host}/")
+        browser.execute_script("localStorage.clear()")
+
+    def one(self, css: str) -> WebElement:
+        """An element."""
+        return self.browser.find_element(By.CSS_SELECTOR, css)
+
+    def until(self, holds: Callable[[], bool]) -> None:
+        """Wait for it, as a person would."""
+        WebDriverWait(self.browser, PATIENCE_S, 0.1).until(lambda _: holds())
+
+    def says(self, css: str, words: str) -> None:
+        """Wait until it says so."""
+        self.until(lambda: words in self.one(css).text)
+
+    def token(self, word: str = TOKEN) -> None:
+        """Type the token."""
+        self.one("#token").send_keys(word, Keys.ENTER)
+        self.says("#answer", "kept in this browser")
+
+    def type(self, css: str, text: str) -> None:
+        """Into a field, in place of what stands there."""
+        field = self.one(css)
+        field.clear()
+        field.send_keys(text)
+
+    def fill(self, css: str, value: str) -> None:
+        """A date or time, whose keys depend on the browser's language."""
+        self.browser.execute_script(
+            "arguments[0].value = arguments[1]; arguments[0].dispatchEvent(new Event('input', {bubbles: true}))",
+            self.one(css), value,
+        )  # fmt: skip
+
+    def complaints(self) -> list[str]:
+        """What the console says."""
+        entries = self.browser.get_log("browser")  # type: ignore[no-untyped-call]
+        return [str(entry["message"]) for entry in entries]
+
+
+@pytest.fixture
+def sight(browser: webdriver.Chrome) -> Iterator[Sight]:
+    """The page, freshly opened, with a clean console at the end."""
+    browser.set_window_size(1000, 1400)
+    served = Served()
+    served.room.step()
+    seen = Sight(browser, served)
+    yield seen
+    complaints = seen.complaints()
+    browser.get("about:blank")
+    served.close()
+    assert complaints == []
+
+
+def test_it_loads_and_says_why(sight: Sight) -> None:
+    assert sight.served.room.hub.decision is not None
+    assert sight.one("#reason").text == sight.served.room.hub.decision.reason
+    drawing = sight.one("#drawing svg.wide")
+    assert drawing.is_displayed()
+    assert not sight.one("#drawing svg.narrow").is_displayed()
+    assert drawing.aria_role in ("img", "image")
+    assert "Planned:" in str(drawing.get_property("textContent"))
+    assert sight.one("#nights-title").text == "The next nights"
+
+
+def test_it_keeps_itself_fresh(sight: Sight) -> None:
+    sight.served.room.plug.warnings = (Fault("plug_socket", "the socket is warm"),)
+    sight.served.later(minutes=30)
+    sight.says("#faults", "the socket is warm")
+    sight.says("#at", "23:30")
+    sight.served.room.plug.warnings = ()
+    sight.served.later(minutes=30)
+    sight.until(lambda: sight.one("#faults").text == "")
+
+
+def test_what_somebody_types_is_not_overwritten(sight: Sight) -> None:
+    sight.type("#minimum", "7")
+    sight.served.later(minutes=30)
+    sight.says("#at", "23:30")
+    assert sight.one("#minimum").get_property("value") == "7"
+
+
+def test_the_minimum_is_set_with_the_keyboard_alone(sight: Sight) -> None:
+    sight.token()
+    sight.type("#minimum", "65")
+    sight.one("#minimum").send_keys(Keys.ENTER)
+    sight.says("#answer", "every morning has at least 65 %")
+    sight.says("#tiles", "at least 65 %")
+    assert sight.served.room.cycle.memory.overrides.minimum == 0.65
+
+
+def test_a_boost_charges_and_is_shown(sight: Sight) -> None:
+    sight.token()
+    sight.one("[data-mode=now]").click()
+    sight.says("#answer", "mode is now")
+    sight.says("#status", "charging now")
+    assert sight.served.room.plug.on
+    sight.until(lambda: sight.one("[data-mode=now]").get_attribute("aria-pressed") == "true")
+    sight.one("[data-mode=smart]").click()
+    sight.says("#answer", "mode is smart")
+    assert sight.served.room.cycle.memory.overrides.mode is Mode.SMART
+
+
+def test_a_trip_is_set_and_removed(sight: Sight) -> None:
+    sight.token()
+    sight.fill("[name=date]", "2023-01-04")
+    sight.type("[name=minimum_pct]", "75")
+    sight.fill(".wide-form [name=ready_by]", "06:15")
+    sight.one("[data-command=trip] .row button").click()
+    sight.says("#trips", "Wednesday 4 January: 75 %, ready by 06:15")
+    assert [trip.day for trip in sight.served.room.cycle.memory.overrides.trips] == [date(2023, 1, 4)]
+    sight.one("[data-clear]").click()
+    sight.until(lambda: sight.one("#trips").text == "")
+    assert sight.served.room.cycle.memory.overrides.trips == ()
+
+
+def test_the_soc_is_told(sight: Sight) -> None:
+    sight.token()
+    sight.type("#soc", "42")
+    sight.one("[data-command=soc] button").click()
+    sight.says("#tiles", "42 %")
+    assert sight.served.room.cycle.memory.soc.mean == pytest.approx(0.42, abs=0.005)
+
+
+def test_a_wrong_token_changes_nothing_and_says_so(sight: Sight) -> None:
+    sight.token("guessed")
+    sight.one("[data-mode=off]").click()
+    sight.says("#answer", "that is not the token")
+    assert sight.served.room.cycle.memory.overrides.mode is Mode.SMART
+    told = sight.complaints()  # the browser itself says that a request was refused
+    assert len(told) == 1
+    assert "401" in told[0]
+
+
+def test_it_fits_a_phone(sight: Sight) -> None:
+    sight.browser.execute_cdp_cmd(
+        "Emulation.setDeviceMetricsOverride",
+        {"width": PHONE[0], "height": PHONE[1], "deviceScaleFactor": 2, "mobile": True},
+    )
+    try:
+        sight.browser.get(f"http://{sight.served.host}/")
+        width = sight.browser.execute_script("return document.documentElement.scrollWidth")
+        assert width <= PHONE[0]
+        assert sight.one("#drawing svg.narrow").is_displayed()
+        assert not sight.one("#drawing svg.wide").is_displayed()
+        for button in sight.browser.find_elements(By.CSS_SELECTOR, "[data-mode]"):
+            assert button.size["height"] >= 40
+    finally:
+        sight.browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
+def test_every_control_has_a_name_and_can_be_reached_by_tab(sight: Sight) -> None:
+    controls = sight.browser.find_elements(By.CSS_SELECTOR, "main button, main input:not([hidden])")
+    assert len(controls) >= 12
+    assert [c.get_attribute("outerHTML") for c in controls if not c.accessible_name] == []
+    reached = set()
+    for _ in range(60):
+        sight.browser.switch_to.active_element.send_keys(Keys.TAB)
+        reached.add(sight.browser.switch_to.active_element.id)
+    assert {c.id for c in controls} <= reached
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_words_stand_out_from_their_ground(sight: Sight, scheme: str) -> None:
+    """WCAG AA: 4.5 to 1, in either scheme."""
+    media = {"features": [{"name": "prefers-color-scheme", "value": scheme}]}
+    sight.browser.execute_cdp_cmd("Emulation.setEmulatedMedia", media)
+    ratios = sight.browser.execute_script(CONTRAST)
+    sight.browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
+    assert len(ratios) > 8
+    assert {name: ratio for name, ratio in ratios.items() if ratio < 4.5} == {}
+
+
+CONTRAST = """
+const light = (css) => {
+  const linear = (v) => v <= 0.03928 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4;
+  const [r, g, b] = css.match(/[0-9.]+/g).map((v) => linear(v / 255));
+  return 0.2126 * r + 0.7152 * g + 0.0722 * b;
+};
+const ground = (e) => {
+  const css = getComputedStyle(e).backgroundColor;
+  return css === "rgba(0, 0, 0, 0)" && e.parentElement ? ground(e.parentElement) : css;
+};
+const found = {};
+const WORDS = "h1, h2, p, dt, dd, small, th, td, button, label, legend, a, li, svg.wide text";
+for (const e of document.querySelectorAll(WORDS)) {
+  if (!e.textContent.trim() || e.classList.contains("unseen")) continue;
+  const style = getComputedStyle(e);
+  const [a, b] = [light(e instanceof SVGElement ? style.fill : style.color), light(ground(e))];
+  const ratio = (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
+  const name = e.tagName + "." + e.classList;
+  found[name] = Math.min(found[name] ?? 99, ratio);
+}
+return found;
+"""
