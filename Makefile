@@ -71,7 +71,7 @@ bench: $(BENCH_READY) ## every program in bench/ (BENCH=bench/planner.py ARGS=--
 lock: python ## both locks anew from pyproject.toml (ARGS=--upgrade for newer versions)
 	$(PYTHON) -m venv --clear $(VENV)-lock
 	$(VENV)-lock/bin/python -m pip install --quiet uv
-	$(LOCK) $(addprefix --extra ,can web study demo dev) --output-file requirements.lock $(ARGS) pyproject.toml
+	$(LOCK) $(addprefix --extra ,can web study dask demo dev) --output-file requirements.lock $(ARGS) pyproject.toml
 	$(LOCK) --extra bench --constraint requirements.lock --output-file requirements-bench.lock $(ARGS) pyproject.toml
 	rm -rf $(VENV)-lock
 

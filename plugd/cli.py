@@ -256,7 +256,7 @@ def _parser() -> argparse.ArgumentParser:
 
     add("run", _run, "the daemon")
     commands.add_parser("demo", add_help=False, help="the daemon against a stub plug, a week in a minute")
-    commands.add_parser("study", add_help=False, help="the paper's experiments: table, regions")
+    commands.add_parser("study", add_help=False, help="the paper's experiments and ours; `plugd study -h` lists them")
     check = add("check", _check, "configuration, broker, plug, forecast, clock, disk: ok, or what to mend")
     check.add_argument("--click", action="store_true", help="also switch on, look at the power, switch off")
     plan = add("plan", _plan, "the plan now, or the plan of a problem file")

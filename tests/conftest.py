@@ -3,6 +3,7 @@
 `PLUGD_REQUIRE=mosquitto,data` turns a missing component into a failure of the whole run.
 """
 
+import importlib.util
 import os
 import shutil
 import signal
@@ -32,6 +33,12 @@ def find_chromium() -> Path | None:
     return Path(found) if found else None
 
 
+def find_dask() -> Path | None:
+    """Dask's scheduler and worker, which are an extra of their own."""
+    found = importlib.util.find_spec("distributed")
+    return Path(found.origin) if found is not None and found.origin else None
+
+
 def find_chromedriver() -> Path | None:
     """What drives the browser."""
     found = shutil.which("chromedriver")
@@ -53,6 +60,7 @@ COMPONENTS = {
         lambda: find_mosquitto(os.environ.get("PATH", "")), "sudo apt install mosquitto", ("mosquitto",)
     ),
     "data": Component(find_data, "set PLUGD_DATA to the folder with neso_national_2023.csv", ("neso_data",)),
+    "dask": Component(find_dask, "pip install 'plugd[dask]', or set up by make", ()),
     "chromium": Component(
         lambda: find_chromium() if find_chromedriver() else None,
         "sudo apt install chromium chromium-driver",

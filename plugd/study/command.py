@@ -1,31 +1,23 @@
 """`plugd study ...`: arguments to runs, runs to numbers on stdout and in `--out`."""
 
 import argparse
-import csv
-import json
-import os
-import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
 from datetime import date
-from functools import partial
 from pathlib import Path
 from statistics import fmean
 from typing import Any
 
 from plugd import series
-from plugd.errors import PlugdError, UsageError
+from plugd.errors import UsageError
 from plugd.series import IntensitySeries
-from plugd.study import measured, table
-from plugd.study.engine import Account
+from plugd.study import backtest, drawing, experiments, issued, measured, table
 from plugd.study.forecasts import PAPER_GROWTH, Noise
 from plugd.study.growth import growth_per_half_hour
-from plugd.study.runs import Failure, Run, perform, pool
 from plugd.study.table import Choice, Terms
+from plugd.study.telling import MAX_HORIZON, code, day, horizons, performed, positive, shared, since, tell
 
 NAMED = ("uncontrolled", "latest-start", "cheapest-tonight")
-MAX_HORIZON = 7
-BAR = 30
 
 
 Regions = Callable[[date, date], dict[int, IntensitySeries]]
@@ -41,19 +33,30 @@ def main(parser: argparse.ArgumentParser, arguments: Sequence[str], regions: Reg
 
 
 def _arguments(parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
-    experiments = parser.add_subparsers(dest="experiment", required=True, metavar="EXPERIMENT")
-    one = experiments.add_parser("table", help="carbon and reduction by strategy over a year (the paper's Table I)")
+    parsers = parser.add_subparsers(dest="experiment", required=True, metavar="EXPERIMENT")
+    one = parsers.add_parser("table", help="carbon and reduction by strategy over a year (the paper's Table I)")
     one.add_argument("--year", type=int, metavar="YYYY", help="one year of the file; default: all of it")
     _common(one, strategies="uncontrolled,1,2,4,7", noise=Noise.TARGET, end_value="on", seeds=5)
     one.set_defaults(does=_table)
-    all_regions = experiments.add_parser("regions", help="the same in every region of a file (the paper's Figure 5)")
-    days: dict[str, Any] = {"type": date.fromisoformat, "metavar": "DATE"}
+    all_regions = parsers.add_parser("regions", help="the same in every region of a file (the paper's Figure 5)")
+    days: dict[str, Any] = {"type": day, "metavar": "DATE"}
     all_regions.add_argument("--from", dest="since", default=date(2023, 1, 1), **days,
                              help="without --actual: what to fetch from the API (default 2023-01-01)")  # fmt: skip
     all_regions.add_argument("--to", dest="until", default=date(2023, 2, 1), **days,
                              help="not included (default 2023-02-01)")  # fmt: skip
     _common(all_regions, strategies="uncontrolled,1,2,4", noise=Noise.NONE, end_value="off", seeds=5)
     all_regions.set_defaults(does=_regions)
+    past = parsers.add_parser("backtest", help="what is captured with forecasts as they were really issued")
+    past.add_argument("--data", type=Path, nargs="+", required=True, metavar="FILE",
+                      help="one zone each: issued,lead_h,forecast,actual, as .csv or .csv.gz")  # fmt: skip
+    past.add_argument("--horizons", type=horizons, default=(1, 2, 3, 4), metavar="LIST", help="default 1,2,3,4")
+    past.add_argument("--from", dest="since", type=day, metavar="DATE", help="default: the first noon of each file")
+    past.add_argument(
+        "--to", dest="until", type=day, metavar="DATE", help="not included; default: the end of each file"
+    )
+    shared(past)
+    past.set_defaults(does=_backtest)
+    experiments.add(parsers)
     return parser
 
 
@@ -71,10 +74,8 @@ def _common(parser: argparse.ArgumentParser, *, strategies: str, noise: Noise, e
     add("--end-value", choices=("on", "off"), default=end_value,
         help=f"whether energy left at the horizon's end is worth something (default {end_value})")  # fmt: skip
     add("--solver", choices=("exact", "osqp"), default="exact")
-    add("--seeds", type=_positive, default=seeds, metavar="N", help=f"default {seeds}")
-    add("--workers", type=_positive, default=min(2, os.cpu_count() or 1), metavar="N", help="processes")
-    add("--json", action="store_true", help="one JSON document")
-    add("--out", type=Path, metavar="DIR", help="also write the numbers there, as CSV and JSON")
+    add("--seeds", type=positive, default=seeds, metavar="N", help=f"default {seeds}")
+    shared(parser)
 
 
 def _strategies(text: str) -> tuple[Choice, ...]:
@@ -91,12 +92,6 @@ def _strategies(text: str) -> tuple[Choice, ...]:
     return tuple(chosen)
 
 
-def _positive(text: str) -> int:
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number above 0")
-    return int(text)
-
-
 def _terms(options: argparse.Namespace) -> Terms:
     growth = growth_per_half_hour(options.growth_from) if options.growth_from else PAPER_GROWTH
     return Terms(Noise(options.noise), options.end_value == "on", options.solver, options.seeds, growth)
@@ -107,10 +102,13 @@ def _table(options: argparse.Namespace) -> int:
     found = measured.load(options.actual, options.error_from)
     _check_errors(options, [found])
     runs = table.runs(found, *measured.span(found, options.year), options.strategies, _terms(options))
-    outcomes = performed(runs, options.workers)
+    outcomes = performed(runs, options)
     rows = table.tabulated(runs, outcomes)
-    _tell(options, "table", {**table.document(rows), "wall_s": _since(began)}, table.lines(rows))
-    return _code(outcomes)
+    document = table.document(rows)
+    if options.out is not None:
+        drawing.reductions(options.out, document["rows"], document["perfect"])
+    tell(options, "table", {**document, "wall_s": since(began)}, table.lines(rows))
+    return code(outcomes)
 
 
 def _regions(options: argparse.Namespace) -> int:
@@ -122,7 +120,7 @@ def _regions(options: argparse.Namespace) -> int:
         region: table.runs(found, *measured.span(found, None), options.strategies, terms)
         for region, found in regions.items()
     }
-    outcomes = performed([run for runs in lists.values() for run in runs], options.workers)
+    outcomes = performed([run for runs in lists.values() for run in runs], options)
     left, document, shown = iter(outcomes), _empty(), []
     every: dict[Choice, list[float]] = {}
     for region, runs in lists.items():
@@ -145,8 +143,10 @@ def _regions(options: argparse.Namespace) -> int:
     shown += [
         f"{table.name(choice)}: mean of {len(cuts)} regions {fmean(cuts):.2f} %" for choice, cuts in every.items()
     ]
-    _tell(options, "regions", {**document, "means": means, "wall_s": _since(began)}, shown)
-    return _code(outcomes)
+    if options.out is not None:
+        drawing.regions(options.out, document["rows"])
+    tell(options, "regions", {**document, "means": means, "wall_s": since(began)}, shown)
+    return code(outcomes)
 
 
 def _regions_of(options: argparse.Namespace) -> dict[int, measured.Measured]:
@@ -173,57 +173,16 @@ def _check_errors(options: argparse.Namespace, found: Iterable[measured.Measured
         )
 
 
-def performed(runs: Sequence[Run], workers: int) -> list[Account | Failure]:
-    """All runs on a process pool, with a bar on stderr where somebody looks; failures are told there."""
-    outcomes = perform(runs, partial(pool, min(workers, len(runs))), _bar if sys.stderr.isatty() else _silent)
-    for outcome in outcomes:
-        if isinstance(outcome, Failure):
-            print(f"plugd: {outcome}", file=sys.stderr)
-    return outcomes
-
-
-def _bar(done: int, of: int) -> None:
-    full = BAR * done // max(1, of)
-    print(
-        f"\r[{'#' * full}{'.' * (BAR - full)}] {done} of {of} runs",
-        end="" if done < of else "\n",
-        file=sys.stderr,
-        flush=True,
-    )
-
-
-def _silent(done: int, of: int) -> None:
-    """Nobody looks."""
-
-
-def _code(outcomes: Sequence[Account | Failure]) -> int:
-    return int(any(isinstance(outcome, Failure) for outcome in outcomes))
-
-
-def _since(began: float) -> float:
-    return round(time.perf_counter() - began, 2)
-
-
-def _tell(options: argparse.Namespace, name: str, document: dict[str, Any], shown: Sequence[str]) -> None:
-    """Numbers to stdout, and to files where asked."""
-    if options.out is not None:
-        written(options.out, name, document)
-    if options.json:
-        print(json.dumps(document, allow_nan=False))
-        return
-    for line in shown:
-        print(line)
-
-
-def written(folder: Path, name: str, document: dict[str, Any]) -> None:
-    """`name`.json with all of a document, `name`.csv with its rows. Raises PlugdError."""
-    rows: list[dict[str, Any]] = [*document["rows"], *({"strategy": "perfect", **row} for row in document["perfect"])]
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / f"{name}.json").write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
-        with (folder / f"{name}.csv").open("w", newline="") as file:
-            writer = csv.DictWriter(file, list(dict.fromkeys(key for row in rows for key in row)))
-            writer.writeheader()
-            writer.writerows(rows)
-    except OSError as error:
-        raise PlugdError(f"--out {folder}: cannot be written ({error.strerror}); name another folder") from error
+def _backtest(options: argparse.Namespace) -> int:
+    began = time.perf_counter()
+    lists = {}
+    for path in options.data:
+        issues = issued.load(path)
+        lists[str(path)] = backtest.runs(
+            issues, *measured.between(issues.found, options.since, options.until), options.horizons
+        )
+    outcomes = performed([run for runs in lists.values() for run in runs], options)
+    left = iter(outcomes)
+    found = backtest.document({name: [(run, next(left)) for run in runs] for name, runs in lists.items()})
+    tell(options, "backtest", {**found, "wall_s": since(began)}, backtest.lines(found), backtest.table(found))
+    return code(outcomes)

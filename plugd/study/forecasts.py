@@ -14,6 +14,7 @@ from typing import Protocol
 from plugd.cycle import HISTORY
 from plugd.domain import Intensity
 from plugd.study.measured import Measured
+from plugd.units import HALF_HOUR, SLOT_H, slot_start, span_h
 
 PAPER_GROWTH = 9.97e-3
 """λ: growth of the relative error a half hour ahead, as a share of the one-step error."""
@@ -79,3 +80,25 @@ class Synthetic:
     def history(self, now: datetime) -> tuple[Intensity, ...]:
         """The stored one-step forecasts since the world began."""
         return self._stored[max(self._since, self._found.index(now - HISTORY)) : self._found.index(now)]
+
+
+class Delayed:
+    """A forecast seen later than it is, by a length drawn anew each night. Implements Forecasts."""
+
+    def __init__(self, inner: Forecasts, seed: int, most_h: float) -> None:
+        self._inner, self._seed, self._most_h = inner, seed, most_h
+        self._seen: dict[datetime, float] = {}
+
+    def expected(self, now: datetime, slots: Sequence[datetime]) -> list[float]:
+        """See Forecasts. What is over is remembered; what was never seen is worth no charging."""
+        night = (now - span_h(12.0)).date()
+        delay = random.Random(f"{self._seed}/delay {night}").randint(0, round(self._most_h / SLOT_H)) * HALF_HOUR
+        first = slot_start(now)
+        ahead = sorted({*slots, *(at - delay for at in slots if at - delay >= first)})
+        self._seen |= zip(ahead, self._inner.expected(now, ahead), strict=True)
+        never = max(self._seen[at] for at in slots)
+        return [self._seen.get(at - delay, never) for at in slots]
+
+    def history(self, now: datetime) -> tuple[Intensity, ...]:
+        """See Forecasts."""
+        return self._inner.history(now)

@@ -11,17 +11,12 @@ mean over zones. It leaves out the growth within day 1, so that it is a little l
 through both days has `λ = r / (144 − 23.5 r)` with `r = MAPE_4 / MAPE_1 − 1`.
 """
 
-import csv
-import gzip
-import math
-import zlib
 from collections.abc import Iterable, Sequence
-from io import TextIOWrapper
 from pathlib import Path
 from statistics import fmean
-from typing import TextIO
 
 from plugd.errors import UsageError
+from plugd.study import issued
 from plugd.study.measured import LEAST_G_PER_KWH
 
 FIRST_DAY, FOURTH_DAY = range(24), range(72, 96)
@@ -46,29 +41,4 @@ def mape(path: Path, leads_h: range) -> float:
 
 def rows(path: Path) -> Iterable[tuple[int, float, float]]:
     """(lead in hours, forecast, actual) of a file `issued,lead_h,forecast,actual`. Raises UsageError."""
-    try:
-        with _open(path) as lines:
-            reader = csv.DictReader(lines)
-            if missing := [name for name in WANTED if name not in (reader.fieldnames or ())]:
-                raise UsageError(f"{path}: line 1: has no column {missing[0]}; give issued,lead_h,forecast,actual")
-            return [_row(path, reader.line_num, line) for line in reader]
-    except (OSError, EOFError, zlib.error, UnicodeDecodeError, csv.Error) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise UsageError(f"{path}: cannot be read ({reason}); give a .csv or .csv.gz file") from error
-
-
-def _open(path: Path) -> TextIO:
-    """The file's text; the caller closes it."""
-    if path.suffix == ".gz":
-        return TextIOWrapper(gzip.GzipFile(path), encoding="utf-8-sig", newline="")
-    return path.open(encoding="utf-8-sig", newline="")
-
-
-def _row(path: Path, number: int, line: dict[str, str]) -> tuple[int, float, float]:
-    try:
-        lead_h, forecast, actual = int(line["lead_h"]), float(line["forecast"]), float(line["actual"])
-    except (TypeError, ValueError) as error:
-        raise UsageError(f"{path}: line {number}: {error}; complete or delete the line") from error
-    if not (math.isfinite(forecast) and math.isfinite(actual)):
-        raise UsageError(f"{path}: line {number}: no number; complete or delete the line")
-    return lead_h, forecast, actual
+    return [issued.numbers(path, number, line) for number, line in issued.lines(path, WANTED)]

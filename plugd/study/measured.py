@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import UTC, date, datetime, time
 from pathlib import Path
 
 from plugd import series
@@ -11,6 +11,7 @@ from plugd.errors import UsageError
 from plugd.series import IntensitySeries
 from plugd.units import HALF_HOUR
 
+NOON, MIDNIGHT = time(12), time(0)
 LEAST_G_PER_KWH = 1.0
 """What a relative error is divided by at the least: an intensity of 0 exists."""
 
@@ -75,6 +76,18 @@ def span(found: Measured, year: int | None) -> tuple[datetime, datetime]:
             raise UsageError(f"--year {year}: {found.name} goes from {found.start:%Y-%m-%d} to {found.end:%Y-%m-%d}")
     noon = start.replace(hour=12, minute=0)
     return max(noon, start), end
+
+
+def between(found: Measured, since: date | None, until: date | None) -> tuple[datetime, datetime]:
+    """From the noon of one day to the midnight before another, where the series has them. Raises UsageError."""
+    start, end = span(found, None)
+    if since is not None:
+        start = max(start, datetime.combine(since, NOON, UTC))
+    if until is not None:
+        end = min(end, datetime.combine(until, MIDNIGHT, UTC))
+    if start >= end:
+        raise UsageError(f"--from, --to: {found.name} goes from {found.start:%Y-%m-%d} to {found.end:%Y-%m-%d}")
+    return start, end
 
 
 def load(path: Path, error_from: Path | None = None) -> Measured:

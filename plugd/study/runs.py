@@ -16,7 +16,8 @@ from plugd.domain import Capability, Car, Household
 from plugd.planner.exact import Exact
 from plugd.planner.problem import Solver
 from plugd.study.engine import Account, World, simulate
-from plugd.study.forecasts import PAPER_GROWTH, Noise, Synthetic
+from plugd.study.forecasts import PAPER_GROWTH, Delayed, Forecasts, Noise, Synthetic
+from plugd.study.issued import Issues, Replayed
 from plugd.study.measured import Measured
 from plugd.study.strategies import strategy
 from plugd.study.world import Driver
@@ -46,6 +47,12 @@ class Run:
     noise: Noise = Noise.TARGET
     growth: float = PAPER_GROWTH
     solver: str = "exact"
+    issues: Issues | None = field(default=None, repr=False)
+    """Forecasts as they were issued, instead of the synthetic one."""
+    issue_seed: int | None = None
+    """Of the forecast errors, where cars with seeds of their own see the same forecast."""
+    delay_h: float = 0.0
+    """The most by which a night's plan is put off at random."""
 
     @property
     def horizon(self) -> int | None:
@@ -60,10 +67,12 @@ class Run:
     def __str__(self) -> str:
         """Its parameters on one line."""
         horizon = f" N={self.horizon}" if self.horizon else ""
+        late = f", delayed up to {self.delay_h:g} h" if self.delay_h else ""
         world, value = self.world, "on" if self.world.household.end_value else "off"
+        noise = f"noise {self.noise}" if self.issues is None else "forecasts as issued"
         return (
             f"{self.strategy}{horizon}, {self.found.name} {world.start:%Y-%m-%d} to {world.end:%Y-%m-%d}, "
-            f"seed {self.seed}, noise {self.noise}, end value {value}, solver {self.solver}"
+            f"seed {self.seed}{late}, {noise}, end value {value}, solver {self.solver}"
         )
 
 
@@ -102,13 +111,20 @@ def paper_run(
 
 def simulated(run: Run) -> Account:
     """What comes of a run."""
-    forecasts = Synthetic(run.found, run.noise, run.seed, run.world.start, run.growth)
     solver = _solver(run.solver)
     household = run.world.household
     # Only OSQP, which begins from it, and a relay, whose slots are held, have a use for the plan before.
     previous = run.solver != "exact" or not household.capability.modulating
-    chosen = strategy(run.strategy, household, forecasts, solver, previous=previous)
+    chosen = strategy(run.strategy, household, _forecasts(run), solver, previous=previous)
     return simulate(run.world, chosen, run.found)
+
+
+def _forecasts(run: Run) -> Forecasts:
+    if run.issues is not None and run.strategy != "perfect":
+        return Replayed(run.issues)
+    seed = run.seed if run.issue_seed is None else run.issue_seed
+    found = Synthetic(run.found, run.noise, seed, run.world.start, run.growth)
+    return Delayed(found, run.seed, run.delay_h) if run.delay_h else found
 
 
 def _solver(name: str) -> Solver:

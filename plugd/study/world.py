@@ -89,7 +89,7 @@ class Driver:
     seed: int = 0
 
     def stay(self, evening: date) -> Stay:
-        """The stay that begins on the evening of this local day: the same for the same seed and day."""
+        """The stay that begins on this local day, mostly in the evening: the same for the same seed and day."""
         dice = random.Random(f"{self.seed}/{evening.isoformat()}")
         zone = ZoneInfo(self.timezone)
 
@@ -99,7 +99,7 @@ class Driver:
 
         return Stay(
             arrival=around(evening, self.arrival),
-            departure=around(evening + timedelta(days=1), self.departure),
+            departure=around(evening + timedelta(days=self.arrival >= self.departure), self.departure),
             use_kwh=max(0.0, dice.gauss(self.use_kwh, self.use_sd_kwh)),
         )
 

@@ -59,7 +59,7 @@ def test_the_table_has_a_row_a_strategy_and_perfect_foresight(year: Path, capsys
     base, one, two, _ = found["rows"]
     assert set(base) == {
         "strategy", "horizon", "carbon_g_per_kwh", "sd", "reduction_pct", "energy_kwh", "mornings", "missed_mornings",
-        "switch_ons_per_night",
+        "switch_ons_per_night", "reduction_ci95_pct", "regret_g_per_kwh", "missed_by_pct",
     }  # fmt: skip
     assert base["reduction_pct"] == 0.0
     assert base["mornings"] == 10
