@@ -1,7 +1,10 @@
 """Every few seconds: who has the last word on the relay now, and when that may change.
 
-An electrical cut comes before everything (the plug's adapter refuses to switch on); then a person's off, the guard,
-the reserve, a person's on, and last the plan.
+An electrical cut comes before everything; then a person's off, the guard, the reserve, a person's on, and last the
+plan. A car that takes nothing, whoever switched it on, is once switched off to wake it.
+
+An off goes with the time by which the plug's own timer has to be over, should plugd die: the last safe start. Where
+that timer is fixed and would end later, no off is begun.
 """
 
 from dataclasses import dataclass, replace
@@ -9,7 +12,7 @@ from datetime import datetime, timedelta
 from enum import StrEnum
 from functools import partial
 
-from plugd import sessions, soc
+from plugd import flow, sessions, soc
 from plugd.domain import Household, Memory, Mode, Relay, Session, Setpoint, Switching, Wanted
 from plugd.guard import Need, Verdict, guard
 from plugd.planner.nights import MET_KWH
@@ -17,6 +20,8 @@ from plugd.planner.taper import flat_kwh
 
 WATCH = timedelta(seconds=60)
 """While something other than the plan holds the relay on, its end is looked for this often."""
+TIMER_SLACK = timedelta(seconds=60)
+"""A timer that ends so much after the last safe start still ends in time."""
 LEASE = 2 * WATCH
 """How long a setpoint of such a holder counts: renewed at every look, it does not run out before the next."""
 
@@ -24,10 +29,13 @@ LEASE = 2 * WATCH
 class Cause(StrEnum):
     """Whose word it is."""
 
+    CUT = "cut"
     PERSON_OFF = "person_off"
     GUARD = "guard"
     RESERVE = "reserve"
     PERSON_ON = "person_on"
+    WAKE = "wake"
+    TIMER = "timer"
     ABSENT = "absent"
     PLAN = "plan"
 
@@ -124,7 +132,47 @@ def _full_on(now: datetime, household: Household) -> Wanted:
 
 
 def decide(now: datetime, memory: Memory, household: Household) -> Action:
-    """Who wins now. Pure; `memory` comes back with whether the guard holds."""
+    """Who wins now. Pure; `memory` comes back with whether the guard holds, a car is being woken, a timer runs."""
+    action = _timed(now, _woken(now, _decided(now, memory, household), household), household)
+    look = flow.next_look(now, action.memory.flow)
+    until = min((moment for moment in (action.until, look) if moment is not None), default=None)
+    return replace(action, until=until)
+
+
+def _woken(now: datetime, action: Action, household: Household) -> Action:
+    """A car that takes nothing is switched off for a while, once a session, and then on again."""
+    memory = action.memory
+    if not action.on or household.capability.modulating:
+        return action
+    if flow.sleeps(now, action.session, memory, household):
+        memory = flow.wake(now, action.session, memory, household)
+    if not flow.waking(now, memory.flow):
+        return action
+    until = memory.flow.wake_until
+    return replace(action, wanted=Relay(False, on_by=until), cause=Cause.WAKE, memory=memory, until=until)
+
+
+def _timed(now: datetime, action: Action, household: Household) -> Action:
+    """An off with the time by which its timer has to be over. A fixed timer that would end later: on instead."""
+    capability, memory, start = household.capability, action.memory, action.verdict.last_safe_start
+    off = isinstance(action.wanted, Relay) and action.cause in (Cause.PLAN, Cause.ABSENT) and not action.on
+    if not (off and capability.dead_man) or start is None:
+        return action if memory.on_by is None else replace(action, memory=replace(memory, on_by=None))
+    if capability.fixed_timer_s is None:
+        return replace(action, wanted=Relay(False, on_by=start))
+    if now + timedelta(seconds=capability.fixed_timer_s) <= start:
+        on_by = start
+    elif memory.relay_on is False and memory.on_by is not None and memory.on_by <= start + TIMER_SLACK:
+        on_by = memory.on_by  # the timer that runs ends in time: it is not begun anew
+    else:
+        return replace(
+            action, wanted=Relay(True), cause=Cause.TIMER, memory=replace(memory, on_by=None), until=now + WATCH
+        )
+    return replace(action, wanted=Relay(False, on_by=on_by), memory=replace(memory, on_by=on_by))
+
+
+def _decided(now: datetime, memory: Memory, household: Household) -> Action:
+    """Who wins, whatever flows and however the plug's timer stands."""
     session, need = _at_stake(now, memory, household)
     verdict = guard(
         now,
@@ -137,10 +185,13 @@ def decide(now: datetime, memory: Memory, household: Household) -> Action:
     )
     press = memory.press
     off_by_person = memory.overrides.mode is Mode.OFF or (press is not None and not press.on)
-    fired = verdict.on and not off_by_person
+    cut = memory.flow.cut is not None
+    fired = verdict.on and not (off_by_person or cut)
     fresh = fired and not memory.guarding
     memory = replace(memory, guarding=fired, guard_count=memory.guard_count + int(fresh))
     act = partial(Action, memory=memory, verdict=verdict, session=session)
+    if cut:
+        return act(_off(now, household, held=True), Cause.CUT, until=None)
     if off_by_person:
         ends = None if press is None else press.until
         return act(_off(now, household, held=True), Cause.PERSON_OFF, until=ends)

@@ -5,7 +5,7 @@ from dataclasses import replace
 from datetime import date, datetime, timedelta
 from typing import Any
 
-from plugd import sessions, soc
+from plugd import flow, sessions, soc
 from plugd.domain import (
     Answer,
     ClearTrip,
@@ -35,14 +35,22 @@ Outcome = tuple[Memory, Answer]
 
 
 def _mode(command: SetMode, memory: Memory, household: Household, now: datetime) -> Outcome:
-    """A person's word also ends whatever a press at the plug asked for."""
+    """A person's word also ends whatever a press at the plug asked for.
+
+    After an electrical cut only "off" is obeyed: whoever says it has seen that the plug is off, and ends the cut.
+    """
+    cut = memory.flow.cut
+    if cut is not None and command.mode is not Mode.OFF:
+        return memory, Answer("mode", False, f"the plug was cut: {flow.cut_text(cut, household)}")
+    said = f"mode is {command.mode}" + ("" if cut is None else ", and the cut is over")
     memory = replace(
         memory,
+        flow=replace(memory.flow, cut=None),
         overrides=replace(memory.overrides, mode=command.mode),
         press=None,
         guarding=memory.guarding and command.mode is not Mode.OFF,
     )
-    return memory, Answer("mode", True, f"mode is {command.mode}")
+    return memory, Answer("mode", True, said)
 
 
 def _soc(command: SetSoc, memory: Memory, household: Household, now: datetime) -> Outcome:
@@ -160,7 +168,7 @@ def plugged_in(memory: Memory, now: datetime) -> Memory:
     """The car has just been plugged in: whatever was asked of the stay before is over."""
     mode = Mode.SMART if memory.overrides.mode is Mode.OFF else memory.overrides.mode
     return replace(
-        memory,
+        flow.anew(memory),
         presence=Presence(True, now),
         overrides=replace(memory.overrides, mode=mode),
         press=None,

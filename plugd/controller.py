@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 
-from plugd import beat, commands, reasons, sessions, soc
+from plugd import beat, commands, flow, reasons, sessions, soc
 from plugd import outlook as outlooks
 from plugd.domain import (
     Capability,
@@ -72,7 +72,8 @@ class Controller:
     def describe(self, now: datetime, seen: Observation, memory: Memory, outlook: Outlook | None) -> Decision:
         """The decision as it stands, with its status and reason."""
         action = beat.decide(now, memory, self.household)
-        status, reason = reasons.explain(now, action, memory, outlook, self.household, seen.faults)
+        faults = (*seen.faults, *flow.faults(now, action.memory, self.household))
+        status, reason = reasons.explain(now, action, action.memory, outlook, self.household, faults)
         planned = memory.plan.sessions if memory.plan else ()
         return Decision(
             at=now,
@@ -82,7 +83,7 @@ class Controller:
             sessions=tuple(s.session for s in planned),
             outlook=outlook,
             forecast_issued_at=seen.forecast.issued_at if seen.forecast else None,
-            faults=seen.faults,
+            faults=faults,
         )
 
     def _coming(self, now: datetime, memory: Memory) -> tuple[Session, ...]:

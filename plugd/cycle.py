@@ -34,6 +34,8 @@ FETCH_RETRY_S = (60.0, 120.0, 240.0, 480.0, 960.0, 1800.0)
 PLUG_RETRY_S = (5.0, 15.0, 60.0)
 RENEWED = 0.5 * LEASE
 """A setpoint that is renewed at every look is told again when half its time is over."""
+TIMER_SLACK = timedelta(seconds=60)
+"""A last safe start that moves by less is not told to the plug's timer."""
 Kept = TypeVar("Kept")
 
 
@@ -108,7 +110,7 @@ class Cycle:
             self.decision = self.controller.resume(now, seen, self.memory)
         # What the tick has seen of the plug is in the memory: `act` looks at it only where none was.
         action = self.controller.act(now, self._seen(None if ticks else reading), self.memory)
-        changed = action.memory.guarding is not self.memory.guarding
+        changed = _lasting(action.memory) != _lasting(self.memory)
         self.memory = action.memory
         moved = self._apply(now, action, reading, was_on)
         if moved or changed:
@@ -253,8 +255,8 @@ class Cycle:
         return True
 
     def _count(self, now: datetime, action: Action) -> None:
-        """A switch-on by the plan is on its budget."""
-        if action.on and action.cause is By.PLAN:
+        """A switch-on by the plan is on its budget; one that ends the waking of a car is not."""
+        if action.on and action.cause is By.PLAN and self.memory.flow.wake_until is None:
             self.memory = replace(self.memory, switch_ons=(*self.memory.switch_ons, now))
 
     def _tend(self, now: datetime) -> None:
@@ -311,5 +313,17 @@ class Cycle:
 def _same(told: Wanted, wanted: Wanted) -> bool:
     """Whether telling the plug again would say nothing new. A setpoint is renewed before its time is over."""
     if isinstance(told, Relay) or isinstance(wanted, Relay):
-        return told == wanted
+        return told == wanted and not _moved(told, wanted)
     return told.power_kw == wanted.power_kw and told.until > wanted.until - RENEWED
+
+
+def _moved(told: Wanted, wanted: Wanted) -> bool:
+    """Whether the timer of an off has to be over at another time than was told."""
+    if not (isinstance(told, Relay) and isinstance(wanted, Relay)) or told.on_by == wanted.on_by:
+        return False
+    return told.on_by is None or wanted.on_by is None or abs(told.on_by - wanted.on_by) > TIMER_SLACK
+
+
+def _lasting(memory: Memory) -> tuple[object, ...]:
+    """What is saved at once when it changes between two ticks, though the relay does not move."""
+    return memory.guarding, memory.flow.cut, memory.flow.wakes, memory.on_by

@@ -68,7 +68,8 @@ def capability_of(config: Config) -> Capability:
     """What the configured plug can be told, without asking it."""
     plug, can = config.plug, config.can
     if plug.kind not in MODULATING:
-        return Capability(plug.power_kw, dead_man=plug.kind not in PRESETS)
+        fixed_timer_s = float(plug.dead_man_s) if plug.kind == "tasmota" else None
+        return Capability(plug.power_kw, dead_man=plug.kind not in PRESETS, fixed_timer_s=fixed_timer_s)
     most_kw = min(plug.power_kw, kw_of(plug.max_current_a, plug.mains_voltage_v))
     if plug.kind == "can_elcon" and can.max_voltage_v is not None and can.max_current_a is not None:
         most_kw = min(most_kw, kw_of(can.max_current_a, can.max_voltage_v) / config.car.efficiency)

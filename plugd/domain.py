@@ -138,6 +138,8 @@ class Capability:
     power_min_kw: float = 0.0
     dead_man: bool = False
     """Whether it comes on by itself when plugd falls silent."""
+    fixed_timer_s: float | None = None
+    """After how long, where one off cannot be given a shorter time than another."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,6 +155,10 @@ class Household:
     """Between the guard's last safe finish and the session end: a random delay and half an hour."""
     planner_slack_s: float = 1200.0
     """How much earlier still the planner aims, so that in health the guard never fires."""
+    max_current_a: float | None = None
+    """More than this for a minute at a plain plug is cut. None: not watched."""
+    mains_voltage_v: float = 230.0
+    """What a current is reckoned with where the plug tells only the power."""
     end_value: bool = True
     """Whether energy left at the horizon's end counts for what it saves later."""
 
@@ -177,6 +183,7 @@ class Reading:
     soc: float | None = None
     """How full the battery is, where it tells the charger itself (CAN) and its last word is not too old."""
     soc_at: datetime | None = None
+    current_a: float | None = None
 
 
 class Mode(StrEnum):
@@ -402,7 +409,9 @@ class Relay:
 
     on: bool
     held: bool = False
-    """A person's own off: no timer."""
+    """A person's own off, or an electrical cut: no timer."""
+    on_by: datetime | None = field(default=None, compare=False)
+    """By when the timer of an off has to be over: the last safe start. None: whenever it is."""
 
 
 Orders = Switching | Setpoint
@@ -481,6 +490,37 @@ class Press:
 
 
 @dataclass(frozen=True, slots=True)
+class Cut:
+    """Switched off because too much flowed. It stays so until a person sets the mode to off."""
+
+    at: datetime
+    current_a: float
+    limit_a: float
+
+
+@dataclass(frozen=True, slots=True)
+class Flow:
+    """What was seen to flow at a plain plug, beside what should."""
+
+    over_since: datetime | None = None
+    """Since when more flows than the socket bears."""
+    over_metered_at: datetime | None = None
+    """The meter's word that said so first: one alone is not enough."""
+    cut: Cut | None = None
+    idle_since: datetime | None = None
+    """Since when the relay is on and nothing flows."""
+    flowed: bool = False
+    """Something has flowed since the relay went on."""
+    stopped_at: datetime | None = None
+    """When the car last stopped by itself. None once it takes power again."""
+    woken_for: date | None = None
+    """The day whose morning a sleeping car was last woken for."""
+    wake_until: datetime | None = None
+    """The relay is off to wake the car, until then."""
+    wakes: int = 0
+
+
+@dataclass(frozen=True, slots=True)
 class Memory:
     """All that one tick leaves for the next, and for the next start of the daemon."""
 
@@ -500,6 +540,9 @@ class Memory:
     guard_count: int = 0
     observed_kw: float | None = None
     """Power the car really takes, smoothed."""
+    flow: Flow = field(default_factory=Flow)
+    on_by: datetime | None = None
+    """By when the timer of the off in force is over, where the plug's timer is fixed."""
 
 
 @dataclass(frozen=True, slots=True)

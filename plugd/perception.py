@@ -3,7 +3,7 @@
 from dataclasses import replace
 from datetime import datetime, timedelta
 
-from plugd import sessions, soc
+from plugd import flow, sessions, soc
 from plugd.beat import next_plug_in
 from plugd.domain import Household, Memory, Mode, Press, Reading, Setpoint, SocEstimate
 
@@ -38,6 +38,7 @@ def perceive(now: datetime, reading: Reading | None, memory: Memory, household: 
 def _seen(now: datetime, reading: Reading, memory: Memory, household: Household) -> Memory:
     """What the plug itself tells."""
     power_kw = household.capability.power_max_kw
+    memory = flow.seen(now, reading, memory, household)
     memory = replace(memory, observed_kw=_observed_kw(reading, memory, household))
     held_back = isinstance(memory.orders, Setpoint) and memory.orders.power_kw < power_kw
     metered = soc.metered(memory.soc, reading, household.car, power_kw, held_back=held_back)
@@ -69,7 +70,12 @@ def _pressed(now: datetime, on: bool, memory: Memory, household: Household) -> M
     told = memory.presence.connected is not None
     off_until = None if told else next_plug_in(now, memory, household)
     until = _stay_end(now, memory, household) if on else off_until
-    return replace(memory, overrides=replace(memory.overrides, mode=mode), press=Press(on, until))
+    return replace(
+        memory,
+        overrides=replace(memory.overrides, mode=mode),
+        press=Press(on, until),
+        flow=replace(memory.flow, wake_until=None),
+    )
 
 
 def _stay_end(now: datetime, memory: Memory, household: Household) -> datetime | None:

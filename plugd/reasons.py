@@ -3,9 +3,9 @@
 from datetime import datetime
 from zoneinfo import ZoneInfo
 
-from plugd import soc
+from plugd import flow, soc
 from plugd.beat import Action, Cause
-from plugd.domain import Fault, Household, Memory, Mode, Outlook, Session, SessionPlan, Status, Switching
+from plugd.domain import Cut, Fault, Household, Memory, Mode, Outlook, Session, SessionPlan, Status, Switching
 from plugd.units import to_pct
 
 PLANNED_KWH = 0.05
@@ -39,6 +39,10 @@ def _off(memory: Memory) -> str:
     )
 
 
+def _cut(cut: Cut, household: Household) -> str:
+    return f"Switched off for safety: {flow.cut_text(cut, household)}."
+
+
 def _asked(memory: Memory, household: Household) -> str:
     if memory.press is None:
         return f"Charging now because you asked, up to {_percent(household.car.soc_max)} or until you say otherwise."
@@ -65,8 +69,16 @@ def _doubt(memory: Memory) -> str:
 def _held(action: Action, memory: Memory, household: Household) -> str:
     """Why something other than the plan has the word."""
     match action.cause:
+        case Cause.CUT:
+            return "Switched off for safety." if memory.flow.cut is None else _cut(memory.flow.cut, household)
         case Cause.PERSON_OFF:
             return _off(memory)
+        case Cause.WAKE:
+            until = memory.flow.wake_until
+            again = f" at {_clock(until, household)}" if until else ""
+            return f"Off for a moment, to wake a car that takes nothing: on again{again}."
+        case Cause.TIMER:
+            return "Charging now: were plugd to die, the plug's own timer would end an off too late."
         case Cause.GUARD:
             return _guarded(action, household) + _doubt(memory)
         case Cause.RESERVE:
@@ -135,6 +147,9 @@ def _planned(now: datetime, action: Action, memory: Memory, household: Household
 
 
 _STATUS = {
+    Cause.CUT: Status.FAULT,
+    Cause.WAKE: Status.WAITING,
+    Cause.TIMER: Status.CHARGING,
     Cause.PERSON_OFF: Status.OFF,
     Cause.GUARD: Status.CHARGING,
     Cause.RESERVE: Status.CHARGING,
@@ -176,6 +191,10 @@ def explain(
     """The status and the sentence. They follow from the decision; nothing is decided here."""
     status, reason = _decided(now, action, memory, outlook, household)
     broken = next((fault.text for fault in faults if fault.code in UNCONTROLLED), None)
+    if action.on and flow.is_idle(now, memory, household):
+        found = flow.idle_text(memory, household)
+        status = Status.FAULT if memory.presence.connected else status
+        reason = f"{found[0].upper()}{found[1:]}. {reason}"
     if broken is None:
         return status, reason
     return Status.FAULT, f"The plug is not under control: {broken}. Wanted: {reason}"

@@ -17,6 +17,7 @@ REBOOT_S = 60.0
 """The moment of booting, as reckoned from the uptime, may wander by this much between two messages."""
 RENEWALS = 6
 """OFF is sent this many times in the dead-man's time; five times as often while it stays unanswered."""
+LEAST_TIMER_S = 1.0
 COOL_S = 600.0
 """A plug that has switched itself off for protection is not switched on again before this."""
 DAWN = -math.inf
@@ -36,6 +37,8 @@ class PlugMemory:
     on_at: datetime | None = None
     on_s: float = DAWN
     power_kw: float | None = None
+    current_a: float | None = None
+    """Told with the power, or not at all."""
     power_s: float = DAWN
     energy_kwh: float | None = None
     metered_at: datetime | None = None
@@ -57,6 +60,8 @@ class PlugMemory:
     """The last order not yet seen to be obeyed, and when it was given."""
     held: bool = False
     """Off without a timer: nothing but a person switches it on."""
+    on_by_s: float = -DAWN
+    """By when the timer of an off has to be over."""
     off_sent_s: float = DAWN
     off_s: float = DAWN
     """When the last OFF that it has confirmed was sent."""
@@ -115,7 +120,7 @@ class PlugMemory:
     def _meter(self, heard: Heard, now: datetime, now_s: float) -> None:
         """Power alone does not make the total newer: what flowed is reckoned between two totals."""
         if heard.power_kw is not None or heard.nonsense or not heard.partial:
-            self.power_kw, self.power_s = heard.power_kw, now_s
+            self.power_kw, self.current_a, self.power_s = heard.power_kw, heard.current_a, now_s
         if heard.energy_kwh is not None or not heard.partial:
             self.energy_kwh = self.energy_kwh if heard.energy_kwh is None else heard.energy_kwh
             self.metered_at, self.metered_s = now, now_s
@@ -127,7 +132,7 @@ class PlugMemory:
             self.ordered = None
         if self.on is None or self.on is on:
             return
-        self.power_kw = None  # measured before
+        self.power_kw = self.current_a = None  # measured before
         itself = self._timer_ran_out(by_timer, now_s) if on else bool(self.errors)
         if not mine and not itself:
             self.moved = on
@@ -161,6 +166,23 @@ class PlugMemory:
         share = RENEWALS if self.off_s >= self.off_sent_s else 5 * RENEWALS
         return self.off_sent_s + self.dead_man_s / share
 
+    def last_renewal_s(self, wanted: Relay | None) -> float:
+        """As `renewal_s`, where every off runs for the whole dead-man's time: the last one is sent so long before
+        `on_by_s`, and the timer then left to run. Who lives on switches on by that time anyway."""
+        due_s = self.renewal_s(wanted)
+        last_s = self.on_by_s - (self.dead_man_s or 0.0)
+        if due_s <= last_s:
+            return due_s
+        return last_s if self.off_sent_s < last_s else -DAWN
+
+    def promise(self, wanted: Relay, now: datetime, now_s: float) -> None:
+        """By when the timer of this off has to be over, in monotonic seconds."""
+        self.on_by_s = -DAWN if wanted.on_by is None else now_s + (wanted.on_by - now).total_seconds()
+
+    def timer_s(self, now_s: float) -> float | None:
+        """The time to give the timer of an off sent now, where each may have its own."""
+        return None if self.dead_man_s is None else min(self.dead_man_s, max(self.on_by_s - now_s, LEAST_TIMER_S))
+
     def fresh(self, now_s: float, meter: bool = True) -> bool:
         """Whether relay, and meter where there is one, were told within the last minute."""
         told_s = min(self.on_s, self.metered_s) if meter else self.on_s
@@ -180,6 +202,7 @@ class PlugMemory:
             metered_at=self.metered_at,
             changed_by_other=self.moved,
             came_back=self.came_back,
+            current_a=self.current_a if now_s - self.power_s <= FRESH_S else None,
         )
         self.moved, self.came_back = None, False
         return reading

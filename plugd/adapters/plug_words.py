@@ -10,6 +10,7 @@ from plugd.units import is_number
 
 MAX_POWER_KW = 100.0
 MAX_ENERGY_KWH = 1e7
+MAX_CURRENT_A = 500.0
 MAX_DIGITS = 15
 NUMBER = re.compile(r"[+-]?\d{1,15}(\.\d{1,15})?([eE][+-]?\d{1,2})?", re.ASCII)
 
@@ -25,6 +26,7 @@ class Heard:
     """What it does not name of the meter has not changed."""
     power_kw: float | None = None
     energy_kwh: float | None = None
+    current_a: float | None = None
     uptime_s: float | None = None
     answer: bool = False
     """It tells the relay's state in answer to a command."""

@@ -12,7 +12,7 @@ from typing import Any
 
 from plugd.adapters.mqtt import Message, Retained
 from plugd.adapters.plug_line import Commands
-from plugd.adapters.plug_words import MAX_ENERGY_KWH, MAX_POWER_KW, Heard, bounded, document
+from plugd.adapters.plug_words import MAX_CURRENT_A, MAX_ENERGY_KWH, MAX_POWER_KW, Heard, bounded, document
 from plugd.units import from_w, from_wh
 
 PENDING = 32
@@ -110,6 +110,7 @@ def _switch(status: dict[str, Any], *, whole: bool, answer: bool, uptime_s: floa
     total = energy.get("total") if isinstance(energy, dict) else None
     power_w, bad_power = bounded(status["apower"], 1000.0 * MAX_POWER_KW) if "apower" in status else (None, 0)
     energy_wh, bad_energy = bounded(total, 1000.0 * MAX_ENERGY_KWH) if total is not None else (None, 0)
+    current_a, bad_current = bounded(status["current"], MAX_CURRENT_A) if "current" in status else (None, 0)
     timed = "timer_duration" in status
     return Heard(
         on=on if isinstance(on, bool) else None,
@@ -117,12 +118,13 @@ def _switch(status: dict[str, Any], *, whole: bool, answer: bool, uptime_s: floa
         partial=not whole,
         power_kw=None if power_w is None else from_w(power_w),
         energy_kwh=None if energy_wh is None else from_wh(energy_wh),
+        current_a=current_a,
         uptime_s=uptime_s,
         answer=answer and isinstance(on, bool),
         timer=timed if whole or timed else None,
         by_timer=status.get("source") == "timer",
         errors=_errors(status.get("errors")) if whole or "errors" in status else None,
-        nonsense=bad_power + bad_energy,
+        nonsense=bad_power + bad_energy + bad_current,
     )
 
 

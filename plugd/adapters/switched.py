@@ -58,7 +58,6 @@ class SwitchedPlug:
     ) -> None:
         """`name` is what people are told of it. `dead_man_s` counts where the dialect has a timer."""
         self._dialect = dialect
-        self._dead_man_s = dead_man_s
         self._capability = Capability(power_max_kw, dead_man=dialect.dead_man)
         self._plug = PlugMemory(dead_man_s if dialect.dead_man else None, dialect.tells_uptime)
         self._line = PlugLine(
@@ -89,6 +88,7 @@ class SwitchedPlug:
         if wanted.on and plug.protects(now_s):
             raise PlugFault(f"{line.name} {self._protection()}; it is left off for ten minutes")
         self._wanted = wanted
+        plug.promise(wanted, *line.now())
         plug.held = wanted.held and not wanted.on
         answers = plug.answers
 
@@ -178,7 +178,7 @@ class SwitchedPlug:
 
     def _command(self, wanted: Relay) -> Commands:
         timed = self._dialect.dead_man and not wanted.on and not wanted.held
-        return self._dialect.switch(wanted.on, self._dead_man_s if timed else None)
+        return self._dialect.switch(wanted.on, self._plug.timer_s(self._line.now()[1]) if timed else None)
 
     def _protection(self) -> str:
         why = ", ".join(self._plug.errors) or "overload"

@@ -2,7 +2,8 @@
 
 With `PowerOnState 5` the firmware restarts PulseTime at every OFF, and switches ON when it has run out (its
 SetPulseTimer): an OFF that is not repeated ends by itself. PowerOnState must be 5 before PulseTime is set: else
-the same timer switches off. Both are flash writes, made only where they differ.
+the same timer switches off. Both are flash writes, made only where they differ: so every OFF runs for the same time,
+and one that has to end by the last safe start is not repeated within that time before it.
 """
 
 from datetime import datetime, timedelta
@@ -32,7 +33,7 @@ class Tasmota:
     ) -> None:
         """`topic` is the plug's own (%topic%). Raises ValueError for a dead-man time that it cannot count."""
         self._topic = topic
-        self._capability = Capability(power_max_kw, dead_man=True)
+        self._capability = Capability(power_max_kw, dead_man=True, fixed_timer_s=dead_man_s)
         self._pulse_wanted = pulse_for(dead_man_s)
         self._plug = PlugMemory(dead_man_s)
         filters = (
@@ -70,6 +71,7 @@ class Tasmota:
             raise PlugRefused(f"{self._line.name} knows on and off only, not {wanted.power_kw:g} kW")
         self._line.listen()
         plug, self._wanted = self._plug, wanted
+        plug.promise(wanted, *self._line.now())
         plug.held = wanted.held and not wanted.on
         if plug.held:
             self._pulse = None  # to be heard anew
@@ -92,7 +94,7 @@ class Tasmota:
         """When the timer has to be set or an OFF repeated. None while there is nothing or nobody to tell."""
         if self._wanted is None:
             return None
-        return self._line.at(min(self._arming_s(), self._plug.renewal_s(self._wanted)))
+        return self._line.at(min(self._arming_s(), self._plug.last_renewal_s(self._wanted)))
 
     def tend(self, now: datetime) -> None:
         """Repeat an OFF, or look after the timer, where due; waits for no answer. Raises PlugTimeout."""
@@ -103,7 +105,7 @@ class Tasmota:
         now_s = self._line.now()[1]
         if self._arming_s() <= now_s + 0.001:
             self._line.send(self._settings())
-        if self._plug.renewal_s(self._wanted) <= now_s + 0.001:
+        if self._plug.last_renewal_s(self._wanted) <= now_s + 0.001:
             self._plug.order(on=False, now_s=now_s)
             self._line.send((self._command(Relay(on=False)),))
 

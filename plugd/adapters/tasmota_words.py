@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from plugd.adapters import plug_words
-from plugd.adapters.plug_words import MAX_ENERGY_KWH, MAX_POWER_KW, bounded, document
+from plugd.adapters.plug_words import MAX_CURRENT_A, MAX_ENERGY_KWH, MAX_POWER_KW, bounded, document
 from plugd.units import from_w, is_number
 
 WORDS = {"ON": True, "OFF": False}
@@ -44,16 +44,18 @@ def hear(payload: bytes, answer: bool = False) -> Heard:
     meter = sensors.get("ENERGY")
     power_w, bad_power = _metered(meter, "Power", 1000.0 * MAX_POWER_KW)
     energy_kwh, bad_energy = _metered(meter, "Total", MAX_ENERGY_KWH)
+    current_a, bad_current = _metered(meter, "Current", MAX_CURRENT_A)
     return Heard(
         on=_first(said, ("POWER", "POWER1"), lambda v: WORDS.get(str(v).upper())),
         metered="StatusSNS" in said or "ENERGY" in sensors,
         power_kw=None if power_w is None else from_w(power_w),
         energy_kwh=energy_kwh,
+        current_a=current_a,
         answer=answer,
         uptime_s=_first(said, ("UptimeSec", "Uptime"), _uptime),
         power_on_state=_first(said, ("PowerOnState",), _whole),
         pulse=_first(said, ("PulseTime1", "PulseTime"), _pulse),
-        nonsense=bad_power + bad_energy,
+        nonsense=bad_power + bad_energy + bad_current,
     )
 
 

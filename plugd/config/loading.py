@@ -120,6 +120,8 @@ def household(config: Config, capability: Capability) -> Household:
             random_delay_s=relay.random_delay_s,
         ),
         capability=capability,
+        max_current_a=config.plug.max_current_a,
+        mains_voltage_v=config.plug.mains_voltage_v,
         guard_margin_s=relay.random_delay_s + 1800,
     )
 

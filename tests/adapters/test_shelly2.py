@@ -53,7 +53,7 @@ def test_on_and_a_held_off_have_no_timer(shelly: Shelly2) -> None:
 def test_a_status_is_an_answer_and_in_its_units(shelly: Shelly2) -> None:
     shelly.status()
     assert reply(shelly, 1, result=STATUS) == Heard(
-        on=False, metered=True, power_kw=0.0, energy_kwh=1.234567, answer=True, timer=True, errors=()
+        on=False, metered=True, power_kw=0.0, energy_kwh=1.234567, current_a=0.0, answer=True, timer=True, errors=()
     )
     assert reply(shelly, 2, result={"uptime": 77, "mac": "x"}) == Heard(uptime_s=77.0)
 

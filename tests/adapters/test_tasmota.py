@@ -50,6 +50,11 @@ SOON_S = 5.0
             b'{"StatusSNS":{"ENERGY":{"Total":1,"Power":0}}}',
             Heard(metered=True, power_kw=0.0, energy_kwh=1.0),
         ),
+        (
+            b'{"ENERGY":{"Total":12.5,"Power":2300,"Current":10.027}}',
+            Heard(metered=True, power_kw=2.3, energy_kwh=12.5, current_a=10.027),
+        ),
+        (b'{"ENERGY":{"Current":-1}}', Heard(metered=True, nonsense=1)),
         (b'{"StatusSNS":{"Time":"x"}}', Heard(metered=True)),
         (b'{"ENERGY":{"Total":"1","Power":-5}}', Heard(metered=True, nonsense=2)),
         (b'{"ENERGY":{"Total":1e9,"Power":1e6}}', Heard(metered=True, nonsense=2)),

@@ -122,6 +122,7 @@ class Box:
     capability: Capability = HOME.capability
     on: bool = False
     power_kw: float = 2.3
+    current_a: float | None = None
     energy_kwh: float = 0.0
     ran_to: datetime | None = None
     told: list[Wanted] = field(default_factory=list)
@@ -144,8 +145,9 @@ class Box:
             self.energy_kwh += self.power_kw * hours(now - self.ran_to)
         self.ran_to = now
         reading = Reading(
-            now, self.on, self.power_kw if self.on else 0.0, self.energy_kwh, now, self.moved, self.came_back
-        )
+            now, self.on, self.power_kw if self.on else 0.0, self.energy_kwh, now, self.moved, self.came_back,
+            current_a=self.current_a if self.on else None,
+        )  # fmt: skip
         self.moved, self.came_back = None, False
         return reading
 

@@ -81,7 +81,7 @@ def test_only_the_topic_of_the_plug_must_be_given() -> None:
 
 def test_defaults_are_the_household_of_the_paper() -> None:
     capability = Capability(power_max_kw=2.3, dead_man=True)
-    assert household(parse(PLUG), capability) == Household(capability=capability)
+    assert household(parse(PLUG), capability) == Household(capability=capability, max_current_a=10.5)
 
 
 def test_percent_minutes_and_weekdays_become_what_the_core_works_with() -> None:
