@@ -8,10 +8,11 @@ exact solver answers in microseconds. A wave of such choices gives a first plan,
 budget lasts. No bound is given up but a minimum that no such plan keeps: then what is least short counts first.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from heapq import heappop, heappush
 from itertools import accumulate
+from math import ceil, floor
 
 from plugd.planner.answer import Made, account, answer, gap
 from plugd.planner.bounds import DUST_KWH, Chain, chain, repair, session_charges_kwh
@@ -26,6 +27,8 @@ GOOD_GAP = 1e-4
 """A plan this near to the best that is possible ends the search."""
 KEPT_KWH = 1e-7
 """Less than this is rounding, where a bound is concerned."""
+ROUNDING = 1e-9
+"""Of a slot: so near to a whole number of them a bound is one."""
 MAX_WAVES = 12
 
 Optimum = Callable[[Problem, Chain], list[float]]
@@ -101,7 +104,7 @@ class Search:
         root = self.node(weak, frozenset())
         if root is None:  # nothing is forced yet, so no ceiling can forbid it
             raise RuntimeError("a chain without forced slots was found impossible")
-        best = self._first(root)
+        best = min((self._first(root), *self._whole(weak)))
         budget = max(8, min(MAX_NODES, MAX_NODE_SLOTS // max(1, slots)))
         heap, nodes = [root], budget
         while heap and nodes > (-MORE * budget if best.short_kwh > 0.0 else 0):
@@ -131,16 +134,42 @@ class Search:
                 for raised in (under, near, frozenset[int]())
             )
             node = min(choice for choice in choices if choice is not None)
-        under = frozenset(self.under(node.charge_kwh))
-        charge = tuple(0.0 if i in under else x for i, x in enumerate(node.charge_kwh))
+        return self._without_weak(node.charge_kwh, node.closed, node.forced)
+
+    def _without_weak(self, charge_kwh: tuple[float, ...], closed: frozenset[int], forced: frozenset[int]) -> Node:
+        """The plan with nothing in the slots under the least power, whatever minimum that misses."""
+        under = frozenset(self.under(charge_kwh))
+        charge = tuple(0.0 if i in under else x for i, x in enumerate(charge_kwh))
         totals = accumulate(session_charges_kwh(self.links, list(charge)))
         short_kwh = sum(max(0.0, low - total) for low, total in zip(self.links.lower_kwh, totals, strict=True))
-        return replace(
-            node,
-            charge_kwh=charge,
-            short_kwh=short_kwh,
-            objective_g=account(self.problem, self.asked, list(charge)).objective_g,
+        return Node(
+            short_kwh if short_kwh > KEPT_KWH else 0.0,
+            account(self.problem, self.asked, list(charge)).objective_g,
+            charge,
+            closed,
+            forced,
         )
+
+    def _whole(self, weak: frozenset[int]) -> Iterator[Node]:
+        """Where every slot is wholly on or off and all are alike: the plan on bounds that count whole slots.
+
+        Minima are rounded up and ceilings down; where they cross, the ceiling counts. What the end value would take
+        besides may be a part of a slot, and is left.
+        """
+        links = self.links
+        slots = zip(links.room_kwh, self.least_kwh, strict=True)
+        usable = [(room, least) for room, least in slots if room > DUST_KWH and least - DUST_KWH <= room]
+        size_kwh = max((room for room, _ in usable), default=0.0)
+        if not usable or any(min(room, least) < size_kwh - DUST_KWH for room, least in usable):
+            return
+        upper = [size_kwh * floor(kwh / size_kwh + ROUNDING) for kwh in links.upper_kwh]
+        ceilings = list(accumulate(reversed(upper), min))[::-1]
+        wanted = [size_kwh * ceil(kwh / size_kwh - ROUNDING) for kwh in links.lower_kwh]
+        room_kwh = [0.0 if i in weak else kwh for i, kwh in enumerate(links.room_kwh)]
+        rooms = session_charges_kwh(links, room_kwh)
+        lower, upper = repair([min(pair) for pair in zip(wanted, ceilings, strict=True)], upper, rooms)
+        rest = replace(links, room_kwh=room_kwh, session_room_kwh=rooms, lower_kwh=lower, upper_kwh=upper)
+        yield self._without_weak(tuple(self.optimum(self.problem, rest)), weak, frozenset())
 
 
 def _better(node: Node, best: Node) -> bool:

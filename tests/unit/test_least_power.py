@@ -164,6 +164,29 @@ def test_on_or_off_is_highs_s_optimum_on_300_random_problems() -> None:
     assert impossible > 10
 
 
+@pytest.mark.parametrize("solver", [Exact(), Qp()])
+def test_on_or_off_no_minimum_is_missed_that_whole_slots_can_keep(solver: Solver) -> None:
+    rng = random.Random(14)
+    missed, losses = [], []
+    for number in range(150):
+        asked = on_or_off(rng)
+        links = chain(asked)
+        rounded = whole_slots(asked, links)
+        solution = solver.solve(asked)
+        assert unkept(asked, solution) == []
+        assert over_ceiling(asked, solution) == []
+        if rounded is None:
+            continue
+        if short_kwh(asked, solution) > 1e-6:
+            missed.append(number)
+        best_g = account(asked, links, exact.optimum(asked, rounded)).objective_g
+        objective_g = solution.bound_g + solution.gap * max(abs(solution.bound_g), 1.0)
+        losses.append((objective_g - best_g) / max(abs(best_g), 1.0))
+    sys.stdout.write(f"{len(losses)} compared, {len(missed)} missed, worst {100 * max(losses):.3f} %\n")
+    assert missed == []
+    assert max(losses) < 5e-3
+
+
 def test_on_200_random_problems_it_is_within_half_a_percent_of_highs() -> None:
     rng = random.Random(11)
     losses, gaps, missed, impossible = [], [], 0, 0
