@@ -20,7 +20,7 @@ LOCK := $(VENV)-lock/bin/uv pip compile --quiet --universal --python-version 3.1
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 export PIP_ROOT_USER_ACTION = ignore
 
-.PHONY: help demo test hub-test weeks study plugs fuzz can-week can-fuzz check bench lock clean
+.PHONY: help demo test hub-test weeks study plugs deadman fuzz can-week can-fuzz check bench lock clean
 .DELETE_ON_ERROR:
 
 help: ## what can be made
@@ -46,6 +46,9 @@ weeks: $(READY) ## the README's four weeks on measured intensity ($PLUGD_DATA), 
 
 plugs: $(READY) ## every plug: the whole contract suite, and a simulated week of each
 	$(VENV)/bin/python -m pytest --every-plug tests/contract tests/hil/test_every_plug.py $(ARGS)
+
+deadman: $(READY) ## plugd killed at each quarter hour of many nights: the plug charges the car alone
+	$(VENV)/bin/python -m tests.dead_man $(ARGS)
 
 fuzz: $(READY) ## a million payloads at everything that a plug may say
 	$(VENV)/bin/python -m tests.fuzz_plugs --payloads 1000000 $(ARGS)

@@ -24,6 +24,8 @@ TIMER_SLACK = timedelta(seconds=60)
 """A timer that ends so much after the last safe start still ends in time."""
 LEASE = 2 * WATCH
 """How long a setpoint of such a holder counts: renewed at every look, it does not run out before the next."""
+RENEWED = 0.5 * LEASE
+"""A setpoint that is renewed at every look is told again when half its time is over."""
 
 
 class Cause(StrEnum):
@@ -61,6 +63,20 @@ class Action:
 def is_on(wanted: Wanted) -> bool:
     """Whether power may flow under these orders."""
     return wanted.on if isinstance(wanted, Relay) else wanted.power_kw > 0.0
+
+
+def is_same(told: Wanted, wanted: Wanted) -> bool:
+    """Whether telling the plug again would say nothing new. A setpoint is renewed before its time is over."""
+    if isinstance(told, Relay) or isinstance(wanted, Relay):
+        return told == wanted and not _moved(told, wanted)
+    return told.power_kw == wanted.power_kw and told.until > wanted.until - RENEWED
+
+
+def _moved(told: Wanted, wanted: Wanted) -> bool:
+    """Whether the timer of an off has to be over at another time than was told."""
+    if not (isinstance(told, Relay) and isinstance(wanted, Relay)) or told.on_by == wanted.on_by:
+        return False
+    return told.on_by is None or wanted.on_by is None or abs(told.on_by - wanted.on_by) > TIMER_SLACK
 
 
 def cautious_soc(moment: datetime, memory: Memory, household: Household) -> float:
@@ -134,7 +150,7 @@ def _full_on(now: datetime, household: Household) -> Wanted:
 def decide(now: datetime, memory: Memory, household: Household) -> Action:
     """Who wins now. Pure; `memory` comes back with whether the guard holds, a car is being woken, a timer runs."""
     action = _timed(now, _woken(now, _decided(now, memory, household), household), household)
-    look = flow.next_look(now, action.memory.flow)
+    look = flow.next_look(now, action.memory.flow, household)
     until = min((moment for moment in (action.until, look) if moment is not None), default=None)
     return replace(action, until=until)
 

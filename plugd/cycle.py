@@ -6,7 +6,7 @@ from datetime import datetime, timedelta
 from typing import TypeVar
 
 from plugd import commands
-from plugd.beat import LEASE, Action, is_on
+from plugd.beat import Action, is_on, is_same
 from plugd.beat import Cause as By
 from plugd.book import Book
 from plugd.controller import Controller
@@ -32,10 +32,6 @@ HISTORY = timedelta(days=56)
 LOOK_S = 10.0
 FETCH_RETRY_S = (60.0, 120.0, 240.0, 480.0, 960.0, 1800.0)
 PLUG_RETRY_S = (5.0, 15.0, 60.0)
-RENEWED = 0.5 * LEASE
-"""A setpoint that is renewed at every look is told again when half its time is over."""
-TIMER_SLACK = timedelta(seconds=60)
-"""A last safe start that moves by less is not told to the plug's timer."""
 Kept = TypeVar("Kept")
 
 
@@ -222,7 +218,7 @@ class Cycle:
     def _apply(self, now: datetime, action: Action, reading: Reading | None, was_on: bool | None) -> bool:
         """Tell the plug where it is not as wanted. Returns whether the relay was moved."""
         wanted = action.wanted
-        same = self.told is not None and _same(self.told, wanted)
+        same = self.told is not None and is_same(self.told, wanted)
         as_wanted = reading is not None and reading.on is is_on(wanted)
         # An "on" that is already on needs no word; an "off" has to be taken once, to arm or disarm its timer.
         if as_wanted and (wanted == Relay(True) or (same and self.switch.failures == 0)):
@@ -308,20 +304,6 @@ class Cycle:
         moments = [next_slot(now), action.until, None if isinstance(self.plug, Tended) else self.plug.due()]
         moments += [retry.at for retry in (self.fetch, self.switch)]
         return min(m for m in moments if m is not None and m > now)
-
-
-def _same(told: Wanted, wanted: Wanted) -> bool:
-    """Whether telling the plug again would say nothing new. A setpoint is renewed before its time is over."""
-    if isinstance(told, Relay) or isinstance(wanted, Relay):
-        return told == wanted and not _moved(told, wanted)
-    return told.power_kw == wanted.power_kw and told.until > wanted.until - RENEWED
-
-
-def _moved(told: Wanted, wanted: Wanted) -> bool:
-    """Whether the timer of an off has to be over at another time than was told."""
-    if not (isinstance(told, Relay) and isinstance(wanted, Relay)) or told.on_by == wanted.on_by:
-        return False
-    return told.on_by is None or wanted.on_by is None or abs(told.on_by - wanted.on_by) > TIMER_SLACK
 
 
 def _lasting(memory: Memory) -> tuple[object, ...]:

@@ -79,8 +79,13 @@ def _morning(now: datetime, session: Session | None) -> date:
 
 
 def sleeps(now: datetime, session: Session | None, memory: Memory, household: Household) -> bool:
-    """Nothing has flowed since the relay went on, the car did not stop by itself, and nobody has tried to wake it."""
+    """Nothing has flowed since the relay went on, the car did not stop by itself, and nobody has tried to wake it.
+
+    The relay stays on for its least time first, as after any switch-on.
+    """
     flow = memory.flow
+    if flow.idle_since is None or now - flow.idle_since < _patience(household):
+        return False
     stopped = flow.stopped_at is not None and timedelta(0) <= now - flow.stopped_at < STOPPED
     tried = flow.woken_for == _morning(now, session)
     return is_idle(now, memory, household) and not (flow.flowed or stopped or tried)
@@ -104,12 +109,19 @@ def wake(now: datetime, session: Session | None, memory: Memory, household: Hous
     return replace(memory, flow=flow)
 
 
-def next_look(now: datetime, flow: Flow) -> datetime | None:
+def _patience(household: Household) -> timedelta:
+    """How long a car may take nothing before it is woken."""
+    return max(IDLE, timedelta(seconds=household.relay.min_on_s))
+
+
+def next_look(now: datetime, flow: Flow, household: Household) -> datetime | None:
     """When to look again for what flows, None where nothing is in question."""
     if flow.over_since is not None:
         return now + LOOK
-    enough = None if flow.idle_since is None else flow.idle_since + IDLE
-    return enough if enough is not None and enough > now else None
+    if flow.idle_since is None:
+        return None
+    moments = (flow.idle_since + IDLE, flow.idle_since + _patience(household))
+    return min((moment for moment in moments if moment > now), default=None)
 
 
 def anew(memory: Memory) -> Memory:

@@ -269,3 +269,52 @@ def test_power_may_flow() -> None:
     assert [is_on(w) for w in (Relay(True), Relay(False), Setpoint(1.4, NIGHT), Setpoint(0.0, NIGHT))] == [
         True, False, True, False,
     ]  # fmt: skip
+
+
+# -- a plug's own timer ---------------------------------------------------------------------------
+
+FIXED = replace(HOME, capability=replace(HOME.capability, fixed_timer_s=3600.0))
+START = last_safe_start(LOW)
+HOUR = minutes(60)
+NEVER = switching()
+
+
+def off_by(action: Action) -> datetime | None:
+    assert isinstance(action.wanted, Relay)
+    return None if action.on else action.wanted.on_by
+
+
+def test_an_off_says_by_when_its_timer_has_to_be_over() -> None:
+    assert off_by(ask(meaning(LOW, NEVER), START - minutes(5))) == START
+    assert off_by(ask(meaning(PLENTY, NEVER), NIGHT)) is None, "nothing is needed"
+    without = replace(HOME, capability=replace(HOME.capability, dead_man=False))
+    assert off_by(ask(meaning(LOW, NEVER), START - minutes(5), without)) is None
+
+
+def test_a_persons_off_has_no_timer() -> None:
+    assert ask(meaning(LOW, NEVER, Mode.OFF), START - minutes(5), FIXED).wanted == Relay(False, held=True)
+
+
+def test_with_a_fixed_timer_no_off_is_begun_that_it_would_end_too_late() -> None:
+    on = replace(meaning(LOW, NEVER), relay_on=True)
+    assert off_by(ask(on, START - HOUR, FIXED)) == START
+    late = ask(on, START - HOUR + minutes(1), FIXED)
+    assert (late.cause, late.on, late.memory.guarding, late.memory.guard_count) == (Cause.TIMER, True, False, 0)
+
+
+def test_with_a_fixed_timer_an_off_that_was_begun_in_time_lasts_to_the_last_safe_start() -> None:
+    off = ask(replace(meaning(LOW, NEVER), relay_on=False), START - HOUR, FIXED)
+    assert off.memory.on_by == START
+    for left in (50, 5, 1):
+        action = ask(off.memory, START - minutes(left), FIXED)
+        assert (action.on, off_by(action)) == (False, START)
+    assert ask(off.memory, START, FIXED).cause is Cause.GUARD
+
+
+def test_with_a_fixed_timer_a_last_safe_start_that_comes_nearer_is_kept() -> None:
+    """Half an hour nearer than the timer that runs was meant for: nothing but switching on now is in time."""
+    off = ask(replace(meaning(LOW, NEVER), relay_on=False), START - HOUR, FIXED)
+    nearer = replace(off.memory, soc=knows(LOW - 0.02).soc)
+    assert ask(nearer, START - minutes(50), FIXED).cause is Cause.TIMER
+    farther = ask(replace(off.memory, soc=knows(LOW + 0.003).soc), START - minutes(50), FIXED)
+    assert (farther.on, off_by(farther)) == (False, START), "the timer that runs is not begun anew"

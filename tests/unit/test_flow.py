@@ -241,7 +241,7 @@ def test_a_car_that_stopped_in_the_middle_is_at_a_limit_of_its_own_or_gone() -> 
 def test_a_full_car_takes_nothing_and_that_is_right() -> None:
     memory, now = idle(here=True, soc=0.8)
     assert flow.faults(now, memory, SOCKET) == ()
-    assert not flow.sleeps(now, None, memory, SOCKET)
+    assert not flow.sleeps(NIGHT + minutes(20), None, memory, SOCKET)
 
 
 def test_a_car_whose_power_fell_away_is_full_and_not_idle() -> None:
@@ -262,7 +262,9 @@ def test_what_the_power_is_nobody_says() -> None:
 
 @pytest.mark.parametrize("here", [None, True])
 def test_a_car_that_never_took_anything_is_woken_once_whoever_switched_it_on(here: bool | None) -> None:
-    memory, now = idle(here)
+    memory, soon = idle(here)
+    assert decide(soon, memory, SOCKET).on, "its least time on is not over"
+    now = NIGHT + minutes(15)
     boosting, empty = replace(memory, overrides=Overrides(mode=Mode.NOW)), replace(memory, soc=knows(0.05, NIGHT).soc)
     for asleep in (memory, boosting, empty):
         action = decide(now, asleep, SOCKET)
@@ -275,11 +277,12 @@ def test_a_car_that_never_took_anything_is_woken_once_whoever_switched_it_on(her
 
 @pytest.mark.parametrize("why", ["gone", "full", "stopped", "tried", "off by a person"])
 def test_a_car_is_not_woken(why: str) -> None:
-    memory, now = {
+    memory, _ = {
         "gone": lambda: idle(here=False),
         "full": lambda: idle(soc=0.8),
         "stopped": lambda: idle(before_kw=2.3),
     }.get(why, idle)()
+    now = NIGHT + minutes(20)
     if why == "tried":
         memory = replace(memory, flow=replace(memory.flow, woken_for=at(7, day=3).date()))
     if why == "off by a person":
@@ -290,7 +293,7 @@ def test_a_car_is_not_woken(why: str) -> None:
 def test_a_car_that_stopped_by_itself_is_not_woken_at_the_next_switch_on() -> None:
     memory, now = idle(before_kw=2.3)
     off = watch([told(now, 0.0, on=False)], memory=memory)
-    later = [told(now + minutes(60 + k), 0.0) for k in range(5)]
+    later = [told(now + minutes(60 + k), 0.0) for k in range(20)]
     memory = watch(later, memory=off)
     assert flow.is_idle(later[-1].at, memory, SOCKET)
     assert decide(later[-1].at, memory, SOCKET).cause is not Cause.WAKE
@@ -303,8 +306,9 @@ def test_a_car_plugged_in_anew_may_be_woken_again() -> None:
 
 
 def test_a_press_ends_the_waking() -> None:
-    memory, now = idle()
+    memory, now = idle()[0], NIGHT + minutes(15)
     woken = decide(now, memory, SOCKET).memory
+    assert flow.waking(now, woken.flow)
     pressed = perceive(now, replace(told(now), changed_by_other=True), woken, SOCKET)
     assert decide(now, pressed, SOCKET).cause is Cause.PERSON_ON
 
@@ -319,7 +323,7 @@ def test_waking_through_the_whole_cycle() -> None:
     house.run(at(3, day=3))
     assert house.plug.told == [ON, OFF, ON]
     on, off, again = house.plug.tries
-    assert (again - off, off - on) == (minutes(10), seconds(130))
+    assert (again - off, off - on) == (minutes(10), minutes(15) + seconds(10))
     memory = house.cycle.memory
     assert (memory.flow.wakes, memory.switch_ons) == (1, (on,))
     assert "switching off and on has not woken it" in house.faults()["no_current"]
@@ -333,4 +337,4 @@ def test_waking_through_the_whole_cycle() -> None:
 
 def test_the_first_memory_has_seen_nothing_flow() -> None:
     assert fresh(NIGHT).flow.cut is None
-    assert flow.next_look(NIGHT, fresh(NIGHT).flow) is None
+    assert flow.next_look(NIGHT, fresh(NIGHT).flow, SOCKET) is None
