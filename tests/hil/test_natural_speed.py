@@ -176,6 +176,17 @@ def test_a_killed_daemon_comes_back_to_the_same_plan_and_leaves_the_relay_alone(
     assert moves[-1] == decision
 
 
+def test_killed_for_good_the_plug_comes_on_by_itself(house: House) -> None:
+    first = house.daemon()
+    house.settled(90, "smart", "off")
+    seen = len(house.plug.said.all)
+    first.kill()
+    killed = utc_now()
+    house.plug.said.until(lambda line: line.get("event") == "on", DEAD_MAN_S + 5.0, after=seen)
+    assert utc_now() - killed > timedelta(seconds=0.5 * DEAD_MAN_S)
+    assert house.relay()[-1] == "on"
+
+
 def test_without_a_broker_the_plug_comes_on_by_itself_and_goes_off_when_plugd_is_back(house: House) -> None:
     daemon = house.daemon()
     house.settled(90, "smart", "off")
