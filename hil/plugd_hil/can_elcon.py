@@ -3,6 +3,7 @@
 On slcan it is a serial adapter too: plugd opens the terminal that is said in the first line of stdout. With `--stdin`
 it takes orders from the world, one a line: mute · unmute · deaf · hear · fault [hardware hot mains battery] ·
 lie VOLTS AMPERES · truth · babble FRAMES · raw HEX · car arrive · car leave · soc PERCENT; it ends when stdin closes.
+`--faults` takes the same orders, each at its time, from a scenario.
 """
 
 import argparse
@@ -28,6 +29,7 @@ from plugd_hil.car import CarAtHome
 from plugd_hil.conductor import Participant
 from plugd_hil.elcon import ElconCharger, Rating
 from plugd_hil.plug import Scene
+from plugd_hil.script import Script
 from plugd_hil.slcan import MulticastWire, SlcanWire, Wire
 
 
@@ -88,6 +90,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--start", type=datetime.fromisoformat, metavar="ISO", help="stays before are skipped")
     p.add_argument("--clock", metavar="HOST:PORT", help="the simulated clock's conductor")
     p.add_argument("--ledger", type=Path, metavar="FILE", help="the truth, as JSON lines")
+    p.add_argument("--faults", type=Path, metavar="FILE", help="a scenario: what goes wrong, and when")
     p.add_argument("--stdin", action="store_true", help="take orders from stdin, and end with it")
     return p
 
@@ -134,14 +137,16 @@ def run(options: argparse.Namespace, clock: SystemClock | Participant, left: Exi
     charger = _charger(options, clock.now())
     scene = Scene(cast(Any, charger), charger.car, ledger)  # it knows a plug by what this charger has too
     dice = random.Random(f"{options.seed}/can")
+    script = Script.read(options.faults, "plug", clock.now(), options.timezone)
     print(json.dumps({"ready": True, "channel": wire.channel}), flush=True)
     while not bench.stopped:
         for message in wire.take():
             charger.handle(message)
         wire.send(cast(list[can.Message], scene.advance(clock.now())))
+        bench.lines.extend(script.take(clock.now()))
         while bench.lines:
             _told(bench.lines.popleft(), charger, scene, wire, dice)
-        clock.wait(scene.due(), bench)
+        clock.wait(min(scene.due(), script.due() or scene.due()), bench)
     scene.note("end", **asdict(charger.asked))
 
 

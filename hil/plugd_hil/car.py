@@ -1,5 +1,6 @@
 """The car at the stub's socket, and when it comes and goes."""
 
+import math
 from collections.abc import Iterator
 from datetime import datetime
 
@@ -13,6 +14,8 @@ class CarAtHome:
     def __init__(self, battery: Battery, connected: bool, stays: Iterator[Stay] | None, start: datetime) -> None:
         """With `stays` the driver decides when the car is here; else it stays as it is until told."""
         self.battery = battery
+        self.most_kw = math.inf
+        """What the car takes at most, whatever is offered: its own limit, or 0 while it sleeps."""
         self._stays = stays
         self._stay = next(stays) if stays else None
         self.connected = connected if self._stay is None else self._stay.arrival <= start
@@ -39,11 +42,11 @@ class CarAtHome:
 
     def draws_kw(self, offered_kw: float) -> float:
         """Power that flows when this much is offered at the socket."""
-        return self.battery.takes_kw(offered_kw) if self.connected else 0.0
+        return self.battery.takes_kw(min(offered_kw, self.most_kw)) if self.connected else 0.0
 
     def take(self, offered_kw: float, length_h: float) -> float:
         """Charge for a time. Returns the energy taken at the socket, kWh."""
-        return self.battery.charge(offered_kw, length_h) if self.connected else 0.0
+        return self.battery.charge(min(offered_kw, self.most_kw), length_h) if self.connected else 0.0
 
     def steady_until(self, now: datetime, offered_kw: float) -> datetime | None:
         """Until when it draws what it draws now; None where nothing will change by itself."""

@@ -22,7 +22,7 @@ class Children:
 
     def start(self, name: str, *arguments: str, says: bool = False) -> dict[str, object]:
         """Start one; returns the JSON line with which it says that it is ready, if it does. Raises PlugdError."""
-        with (self.folder / f"{name}.log").open("w", encoding="utf-8") as log:
+        with (self.folder / f"{name}.log").open("a", encoding="utf-8") as log:
             child = subprocess.Popen(
                 [sys.executable, "-m", *arguments],
                 stdin=subprocess.DEVNULL,

@@ -65,7 +65,9 @@ class Line:
 class Participant:
     """`plugd.ports.Clock` on the conductor's time."""
 
-    def __init__(self, host: str, port: int, name: str) -> None:
+    def __init__(self, host: str, port: int, name: str, look_s: float | None = None) -> None:
+        """With `look_s` no wait is longer, as on the real clock: what has fallen silent is noticed by looking."""
+        self._look = None if look_s is None else timedelta(seconds=look_s)
         self._line = Line(socket.create_connection((host, port), timeout=None))
         self._line.send(name=name)
         self._now = datetime.fromisoformat(self._line.receive()["now"])
@@ -82,6 +84,7 @@ class Participant:
 
     def wait(self, until: datetime, woken_by: Inbox | None = None) -> None:
         """Give the turn back; return with it when due, when a message is here, or when called."""
+        until = until if self._look is None else min(until, self._now + self._look)
         while True:
             if woken_by is not None:
                 woken_by.flush()
@@ -171,6 +174,18 @@ class Conductor:
                     raise TimeoutError(f"not started: {', '.join(missing)}")
         for name in self._names:
             self._listen(self._seats[name])
+
+    def part(self, name: str) -> None:
+        """Go on without one that has ended; `gather` waits for it again after `join`."""
+        self._names = tuple(other for other in self._names if other != name)
+        with self._arrived:
+            self._seats.pop(name, None)
+
+    def join(self, name: str, look: Callable[[], None] = lambda: None) -> None:
+        """Wait until one more, or one that is back, is here and waits. Raises TimeoutError."""
+        before, self._names = self._names, (name,)
+        self.gather(look=look)
+        self._names = (*before, name)
 
     def _listen(self, seat: _Seat) -> bool:
         """Until the participant gives the turn back. Returns whether it did anything."""

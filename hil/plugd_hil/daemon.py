@@ -16,10 +16,11 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="plugd_hil.daemon", description=__doc__)
     parser.add_argument("-c", "--config", type=Path, required=True)
     parser.add_argument("--clock", required=True, metavar="HOST:PORT")
+    parser.add_argument("--look", type=float, metavar="S", help="the longest wait (default: as long as nothing is due)")
     options = parser.parse_args()
     logging.basicConfig(level=logging.WARNING, format="%(name)s: %(message)s")
     host, port = options.clock.rsplit(":", 1)
-    clock = Participant(host, int(port), "plugd")
+    clock = Participant(host, int(port), "plugd", options.look)
     try:
         daemon.run(load(options.config), clock)
     except PlugdError as error:

@@ -23,6 +23,7 @@ from plugd_hil.conductor import Line
 from plugd_hil.neso_answers import Refused, answer_to
 from plugd_hil.neso_faults import CONTENT, LINE, NAMES, OUTAGE, Answer, send
 from plugd_hil.neso_source import SeriesSource, Shifted, Source, from_file, from_folder, shift_to
+from plugd_hil.script import Script
 from plugd_hil.synthetic import synthetic_year
 
 LOOPBACK = "127.0.0.1"
@@ -40,6 +41,7 @@ class StubNeso(ThreadingHTTPServer):
         self.fault = fault
         self.asked: list[str] = []
         self.ended = threading.Event()
+        self.script = Script([])
 
     def server_bind(self) -> None:
         """Without the parent's look-up of this machine's name, which may take seconds."""
@@ -55,6 +57,11 @@ class StubNeso(ThreadingHTTPServer):
     def url(self) -> str:
         """What to configure as base_url."""
         return f"http://{LOOPBACK}:{self.port}"
+
+    def follow(self) -> None:
+        """Do wrong what the script says by now; `none` is nothing."""
+        for order in self.script.take(self.now()):
+            self.fault = None if order == "none" else order
 
     def handle_error(self, request: object, client_address: object) -> None:
         """A client that hangs up early is none of ours; anything else is printed."""
@@ -86,6 +93,7 @@ class Handler(BaseHTTPRequestHandler):
         """Answer, or misbehave."""
         server = self.server
         server.asked.append(self.path)
+        server.follow()
         status, answer = 200, Answer()
         try:
             path = self.path.partition("?")[0]
@@ -131,6 +139,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"stub NESO server: {error}", file=sys.stderr)
         return 2
     server = serve(source, now, options.port, options.fault)
+    server.script = Script.read(options.faults, "neso", now(), options.timezone)
     print(json.dumps({"port": server.port}), flush=True)
     signal.sigwait({signal.SIGTERM, signal.SIGINT})
     server.close()
@@ -169,6 +178,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--port", type=int, default=0, help="0: any free one")
     parser.add_argument("--as-of", default="now", help="`now`: moved by whole weeks; or what time now stands for")
     parser.add_argument("--clock", metavar="HOST:PORT", help="a simulated clock to ask, not this machine's")
+    parser.add_argument("--faults", type=Path, metavar="FILE", help="a scenario: what goes wrong, and when")
+    parser.add_argument("--timezone", default="Europe/London", help="of the times in it")
     parser.add_argument("--fault", choices=NAMES, help="what to do wrong")
     return parser
 

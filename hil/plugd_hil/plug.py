@@ -1,7 +1,8 @@
 """The stub plug: a program that a broker, and plugd, cannot tell from a real plug with a car behind it.
 
 It sends nothing that a real one would not. With `--stdin` it takes orders from the world, one a line:
-press · cut [SECONDS] · mute · unmute · jam · unjam · car arrive · car leave · soc PERCENT; it ends when stdin closes.
+press · cut [SECONDS] · mute · unmute · jam (or weld) · unjam · car arrive · car leave · soc PERCENT · limit KW, and
+those of `plug_faults.py`; it ends when stdin closes. `--faults` takes them, each at its time, from a scenario.
 """
 
 import argparse
@@ -26,6 +27,8 @@ from plugd_hil.conductor import Participant
 from plugd_hil.openevse import OpenEvseCharger
 from plugd_hil.outlet import Said
 from plugd_hil.plain import HABITS, PlainPlug
+from plugd_hil.plug_faults import PlugFaults
+from plugd_hil.script import Script
 from plugd_hil.shelly2 import Shelly2Plug
 from plugd_hil.socket import Plug
 from plugd_hil.tasmota import TasmotaPlug
@@ -95,8 +98,11 @@ class Scene:
                 return self.watch(self.plug.cut(timedelta(seconds=float(seconds[0]) if seconds else 5.0)))
             case ["mute" | "unmute" as word]:
                 self.plug.muted = word == "mute"
-            case ["jam" | "unjam" as word]:
-                self.plug.board.jammed = word == "jam"
+            case ["jam" | "weld" | "unjam" as word]:
+                self.plug.board.jammed = word != "unjam"
+            case ["limit", most_kw]:
+                self.car.most_kw = float(most_kw)
+                return self.plug.load_changed()
             case ["car", "arrive"]:
                 return self.arrive()
             case ["car", "leave"]:
@@ -179,6 +185,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--soc-topic", metavar="TOPIC")
     p.add_argument("--tell", choices=("arrival", "never"), default="never", help="when the car tells its SOC")
     p.add_argument("--tele-period", type=int, metavar="S", help="default: as the device is shipped")
+    p.add_argument("--faults", type=Path, metavar="FILE", help="a scenario: what goes wrong, and when")
     p.add_argument("--stdin", action="store_true", help="take orders from stdin, and end with it")
     return p
 
@@ -246,6 +253,8 @@ def run(options: argparse.Namespace, clock: SystemClock | Participant, left: Exi
     ledger = left.enter_context(options.ledger.open("w", encoding="utf-8")) if options.ledger else None
     host, port = _address(options.broker)
     world = scene(options, clock.now(), ledger)
+    script = Script.read(options.faults, "plug", clock.now(), options.timezone)
+    faults = PlugFaults(options.seed)
     will = world.plug.will
     connection = MqttConnection(
         Broker(host, port), f"DVES_{options.topic}", will=(will.topic, will.payload.encode()), retry_s=(1.0, 10.0)
@@ -262,7 +271,7 @@ def run(options: argparse.Namespace, clock: SystemClock | Participant, left: Exi
     session = 0
 
     def say(said: list[Said]) -> None:
-        for one in said:
+        for one in faults.pass_on(said, clock.now()):
             connection.publish(one.topic, one.payload.encode(), qos=one.qos, retain=one.retain)
 
     while not desk.stopped:
@@ -271,14 +280,17 @@ def run(options: argparse.Namespace, clock: SystemClock | Participant, left: Exi
             session = connection.session
             say(world.plug.connected())
         for message in desk.mailbox.take():
-            say(world.watch(world.plug.handle(message.topic, message.payload)))
+            say([] if faults.deaf else world.watch(world.plug.handle(message.topic, message.payload)))
+        desk.lines.extend(script.take(clock.now()))
         while desk.lines:
-            say(world.told(desk.lines.popleft()))
+            line = desk.lines.popleft()
+            said = faults.told(line)
+            say(world.told(line) if said is None else said)
         if ready:
             connection.flush()
             print(json.dumps(ready), flush=True)
             ready = {}
-        clock.wait(world.due(), desk)
+        clock.wait(min(m for m in (world.due(), script.due(), faults.due()) if m is not None), desk)
     connection.publish(will.topic, will.payload.encode(), retain=True)
 
 
