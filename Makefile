@@ -20,11 +20,11 @@ LOCK := $(VENV)-lock/bin/uv pip compile --quiet --universal --python-version 3.1
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 export PIP_ROOT_USER_ACTION = ignore
 
-.PHONY: help demo test hub-test weeks study plugs deadman fuzz can-week can-fuzz check bench lock clean
+.PHONY: help demo test hub-test weeks study plugs deadman fuzz can-week can-fuzz scenarios natural check bench lock clean
 .DELETE_ON_ERROR:
 
 help: ## what can be made
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' Makefile
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-9s %s\n", $$1, $$2 }' Makefile
 	@echo 'ARGS="..." is passed on; PYTHON=python3.13 chooses another Python.'
 
 demo: $(READY) ## a week of charging, simulated, in about a minute
@@ -68,13 +68,19 @@ check: $(READY) ## style, types, layers
 	$(VENV)/bin/mypy
 	$(VENV)/bin/lint-imports
 
+scenarios: $(READY) ## everything that may go wrong with plug, charger and broker, one scenario after the other
+	$(VENV)/bin/python -m plugd_hil bench hil/scenarios --jobs 2 $(ARGS)
+
+natural: $(READY) ## those of them that last under a minute, on the real clock
+	$(VENV)/bin/python -m plugd_hil bench hil/scenarios --natural --out bench-out/natural $(ARGS)
+
 bench: $(BENCH_READY) ## every program in bench/ (BENCH=bench/planner.py ARGS=--quick: one, shorter)
 	@set -e; for bench in $(BENCH); do echo "== $$bench"; $(VENV)-bench/bin/python "$$bench" $(ARGS); done
 
 lock: python ## both locks anew from pyproject.toml (ARGS=--upgrade for newer versions)
 	$(PYTHON) -m venv --clear $(VENV)-lock
 	$(VENV)-lock/bin/python -m pip install --quiet uv
-	$(LOCK) $(addprefix --extra ,can web study dask demo dev) --output-file requirements.lock $(ARGS) pyproject.toml
+	$(LOCK) $(addprefix --extra ,can web study dask demo hil dev) --output-file requirements.lock $(ARGS) pyproject.toml
 	$(LOCK) --extra bench --constraint requirements.lock --output-file requirements-bench.lock $(ARGS) pyproject.toml
 	rm -rf $(VENV)-lock
 

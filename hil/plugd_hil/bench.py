@@ -5,6 +5,7 @@ For each a folder under `--out`: the timeline, the ledger, what every program wr
 
 import argparse
 import json
+import signal
 import sys
 import tempfile
 import time
@@ -15,6 +16,7 @@ from dataclasses import dataclass
 from datetime import timedelta
 from functools import partial
 from pathlib import Path
+from types import FrameType
 from xml.etree import ElementTree as ET
 
 from plugd.errors import PlugdError, UsageError
@@ -116,6 +118,15 @@ def _tell(verdict: Verdict) -> None:
             print(f"     not kept: {promise}\n     seen: {objection}", flush=True)
 
 
+def _unwound() -> None:
+    """SIGTERM ends a run as Ctrl-C does, by way of every `finally`: no process stays behind."""
+
+    def end(signum: int, _frame: FrameType | None) -> None:
+        raise SystemExit(128 + signum)
+
+    signal.signal(signal.SIGTERM, end)
+
+
 def parser() -> argparse.ArgumentParser:
     """The command line."""
     p = argparse.ArgumentParser(prog="plugd_hil bench", description=__doc__)
@@ -140,7 +151,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise UsageError("there is no scenario in what was given")
         began, verdicts = time.monotonic(), []
         work = partial(run, out=options.out, natural=options.natural)
-        with ProcessPoolExecutor(options.jobs) as pool:
+        with ProcessPoolExecutor(options.jobs, initializer=_unwound) as pool:
             for verdict in pool.map(work, [one.path for one in scenarios]):
                 _tell(verdict)
                 verdicts.append(verdict)

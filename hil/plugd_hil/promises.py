@@ -55,10 +55,10 @@ class Seen:
 
     def standing(self, start: datetime, end: datetime) -> Iterator[tuple[datetime, State]]:
         """What plugd's state was at `start`, and every one until `end`."""
-        before = [state for at, state in self.states if at < start]
+        before = [state for at, state in self.states if at <= start]
         if before:
             yield start, before[-1]
-        yield from ((at, state) for at, state in self.states if start <= at <= end)
+        yield from ((at, state) for at, state in self.states if start < at <= end)
 
     def relay(self, start: datetime, end: datetime) -> Iterator[tuple[datetime, bool]]:
         """How the relay truly was at `start`, and whenever it moved until `end`."""

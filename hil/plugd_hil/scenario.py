@@ -41,7 +41,7 @@ class Written(Section):
     soc_pct: float = 40.0
     car: Literal["comes", "connected", "absent"] = "comes"
     """It comes at 18:00 (and goes at 09:00), or is there all the time, or not at all; `faults` may move it too."""
-    tell: Literal["arrival", "never"] = "arrival"
+    tell: Literal["arrival", "always", "never"] = "arrival"
     seed: int = 0
     plug_options: list[str] = Field(default_factory=list)
     """More words for the stub's command line."""

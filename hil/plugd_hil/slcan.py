@@ -17,6 +17,8 @@ from typing import Protocol
 import can
 
 PATIENCE_S = 5.0
+UNREAD_BYTES = 3000
+"""So much waits only where plugd is dead: lost, as in an adapter whose buffer is full. A terminal takes 4095."""
 MOST_BYTES = 64
 """Longer than any line of the protocol."""
 
@@ -66,6 +68,9 @@ class SlcanWire:
         """Bytes as they are, frames or not."""
         with self._writing:
             before = self._readable()
+            if before > UNREAD_BYTES:  # nobody reads any more
+                termios.tcflush(self._slave, termios.TCIFLUSH)
+                before = 0
             os.write(self._master, data)
             until_s = time.monotonic() + PATIENCE_S
             while self._waits and self._readable() < before + len(data) and time.monotonic() < until_s:
