@@ -25,6 +25,8 @@ from plugd.ports import Inbox
 
 PATIENCE_S = 120.0
 """A participant that keeps the turn this long in real time hangs."""
+AT_ONCE = 20
+"""After so many calls in vain time passes for who is to end."""
 LOOK_S = 0.2
 """How often `gather` looks up while it waits."""
 FAR = datetime.max.replace(tzinfo=UTC) - timedelta(days=2)
@@ -236,10 +238,13 @@ class Conductor:
             raise ConnectionError(f"ended before its time: {', '.join(dead)}")
 
     def dismiss(self, name: str, ended: Callable[[], bool]) -> None:
-        """Call a participant that was told to end until it is gone."""
-        seat = self._seats[name]
+        """Call a participant that was told to end until it is gone. One in the middle of a wait needs time to pass."""
+        seat, turns = self._seats[name], 0
         while not seat.gone and not ended():
             self._turn(seat, call=True)
+            turns += 1
+            if turns > AT_ONCE:
+                self.now += timedelta(seconds=1)
 
     def hang_up(self) -> None:
         """End the participants' connections: who waits for the turn is told, and ends."""
