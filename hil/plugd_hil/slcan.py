@@ -18,7 +18,7 @@ import can
 
 PATIENCE_S = 5.0
 UNREAD_BYTES = 3000
-"""So much waits only where plugd is dead: lost, as in an adapter whose buffer is full. A terminal takes 4095."""
+"""With so much waiting to be read what comes is lost, as in an adapter whose buffer is full. A terminal takes 4095."""
 MOST_BYTES = 64
 """Longer than any line of the protocol."""
 
@@ -68,9 +68,8 @@ class SlcanWire:
         """Bytes as they are, frames or not."""
         with self._writing:
             before = self._readable()
-            if before > UNREAD_BYTES:  # nobody reads any more
-                termios.tcflush(self._slave, termios.TCIFLUSH)
-                before = 0
+            if before > UNREAD_BYTES:
+                return
             os.write(self._master, data)
             until_s = time.monotonic() + PATIENCE_S
             while self._waits and self._readable() < before + len(data) and time.monotonic() < until_s:

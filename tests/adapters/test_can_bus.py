@@ -14,7 +14,7 @@ from plugd.adapters.clock import SystemClock
 from plugd.config import parse
 from plugd.domain import Setpoint
 from plugd.errors import ConfigError, PlugTimeout
-from tests.contract.can_rig import BEAT_S, CanRig, charger_at, stub_at
+from tests.contract.can_rig import CanRig, charger_at, stub_at
 
 
 @pytest.fixture
@@ -67,7 +67,7 @@ def test_over_a_serial_adapter_with_garbage_on_the_line(clock: SystemClock) -> N
         ):
             stub.tell(f"raw {noise.hex()}")
         stub.tell("babble 500")
-        rig.pause(lambda: False, 5.0 * BEAT_S)
+        rig.pause(lambda: charger.line.garbled > 0, 5.0)
         assert charger.line.garbled > 0
         assert charges(rig)
         charger.close()
