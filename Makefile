@@ -72,7 +72,7 @@ scenarios: $(READY) ## everything that may go wrong with plug, charger and broke
 	$(VENV)/bin/python -m plugd_hil bench hil/scenarios --jobs 2 $(ARGS)
 
 natural: $(READY) ## those of them that last under a minute, on the real clock
-	$(VENV)/bin/python -m plugd_hil bench hil/scenarios --natural --out bench-out/natural $(ARGS)
+	$(VENV)/bin/python -m plugd_hil bench hil/scenarios --natural --jobs 5 --out bench-out/natural $(ARGS)
 
 bench: $(BENCH_READY) ## every program in bench/ (BENCH=bench/planner.py ARGS=--quick: one, shorter)
 	@set -e; for bench in $(BENCH); do echo "== $$bench"; $(VENV)-bench/bin/python "$$bench" $(ARGS); done

@@ -151,10 +151,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise UsageError("there is no scenario in what was given")
         began, verdicts = time.monotonic(), []
         work = partial(run, out=options.out, natural=options.natural)
+        _unwound()
         with ProcessPoolExecutor(options.jobs, initializer=_unwound) as pool:
-            for verdict in pool.map(work, [one.path for one in scenarios]):
-                _tell(verdict)
-                verdicts.append(verdict)
+            try:
+                for verdict in pool.map(work, [one.path for one in scenarios]):
+                    _tell(verdict)
+                    verdicts.append(verdict)
+            finally:
+                pool.shutdown(wait=False, cancel_futures=True)  # what runs ends by itself, nothing more begins
     except UsageError as error:
         print(f"plugd_hil bench: {error}", file=sys.stderr)
         return 2
