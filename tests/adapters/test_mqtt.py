@@ -87,7 +87,7 @@ def test_nothing_is_queued_while_the_broker_is_away(connect: Connect, mosquitto:
     ours, other = connect("ours"), connect("other")
     mailbox = other.subscribe("cmnd/#")
     mosquitto.stop()
-    assert until(ours, lambda: not ours.connected)
+    assert until(ours, lambda: not ours.connected and ours.refusal is not None)
     assert "closed" in str(ours.refusal)
     assert not ours.publish("cmnd/POWER", b"ON")
     assert not ours.publish("cmnd/POWER", b"ON", qos=1)
