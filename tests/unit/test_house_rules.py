@@ -169,10 +169,10 @@ def test_anything_else_would_be_found(added: str) -> None:
 def test_the_command_and_the_demo_run_the_same_daemon() -> None:
     run = next(
         node
-        for node in ast.walk(ast.parse((ROOT / "plugd/cli.py").read_text()))
+        for node in ast.walk(ast.parse((ROOT / "plugd/cli/run.py").read_text()))
         if isinstance(node, ast.FunctionDef) and node.name == "_run"
     )
-    assert "daemon.run(load(_config_path(options)), clock)" in ast.unparse(run)
+    assert "daemon.run(load(config_path(options)), clock)" in ast.unparse(run)
     started = ast.unparse(ast.parse((ROOT / "hil/plugd_hil/demo.py").read_text()))
     assert "children.start('plugd', 'plugd_hil.daemon', '-c', str(config), '--clock', clock)" in started
 

@@ -1,0 +1,74 @@
+"""The program: its arguments, its log, its exit codes."""
+
+import logging
+import sys
+from collections.abc import Sequence
+from contextlib import suppress
+
+from plugd import __version__
+from plugd.cli import apart, check, history, plan, plug, report, run
+from plugd.cli.parsing import DEFAULT_CONFIG, Commands, Parser
+from plugd.errors import AlreadyRunning, ConfigError, PlugdError, UsageError
+
+EXIT_CODES: tuple[tuple[type[PlugdError], int], ...] = (
+    (ConfigError, 78),
+    (AlreadyRunning, 75),
+    (UsageError, 2),
+    (PlugdError, 1),
+)
+COMMANDS = (run.add, apart.add, check.add, plan.add, history.add, report.add, plug.add)
+"""In the order of `plugd --help`."""
+
+
+def parser() -> Parser:
+    """The arguments of every command, but of those that read their own."""
+    whole = Parser(
+        prog="plugd",
+        description="Charge an electric car when the grid is cleanest, over several nights at once.",
+    )
+    whole.add_argument("-c", "--config", metavar="FILE", help=f"default: $PLUGD_CONFIG, else {DEFAULT_CONFIG}")
+    whole.add_argument("-v", "--verbose", action="store_true", help="say more on stderr")
+    whole.add_argument("--version", action="version", version=f"plugd {__version__}")
+    commands = Commands(whole.add_subparsers(dest="command", required=True, metavar="COMMAND"))
+    for add in COMMANDS:
+        add(commands)
+    return whole
+
+
+def _commanded(given: Sequence[str]) -> int:
+    whole = parser()
+    options, rest = whole.parse_known_args(given)
+    code: int
+    if options.reads_rest:
+        options.rest = rest
+        code = options.does(options)
+        return code
+    if rest:
+        whole.error(f"unrecognized arguments: {' '.join(rest)}")
+    # Only the daemon's log is read by somebody; the other commands say all that matters themselves.
+    level = logging.INFO if options.command == "run" else logging.ERROR
+    logging.basicConfig(
+        level=logging.DEBUG if options.verbose else level,
+        format="%(levelname)s %(name)s: %(message)s",
+    )
+    logging.getLogger("apscheduler").setLevel(logging.WARNING)
+    code = options.does(options)
+    return code
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command. Returns the exit code; errors are one line on stderr."""
+    try:
+        try:
+            return _commanded(list(sys.argv[1:] if arguments is None else arguments))
+        finally:
+            sys.stdout.flush()  # here, where a closed pipe is expected, and not at the interpreter's end
+    except PlugdError as error:
+        print(f"plugd: {error}", file=sys.stderr)
+        return next(code for kind, code in EXIT_CODES if isinstance(error, kind))
+    except KeyboardInterrupt:
+        return 130
+    except BrokenPipeError:
+        with suppress(OSError):
+            sys.stdout.close()
+        return 1
