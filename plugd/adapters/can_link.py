@@ -5,7 +5,6 @@ to charge after plugd has hung.
 """
 
 import errno
-import threading
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -14,6 +13,7 @@ from typing import Any
 import can
 from can.interfaces.slcan import slcanBus
 
+from plugd.adapters.bell import Bell
 from plugd.ports import Clock
 
 MOST_FRAMES = 200
@@ -67,7 +67,7 @@ def open_bus(place: Place, identifiers: tuple[tuple[int, bool], ...]) -> can.Bus
     return can.Bus(interface=place.interface, channel=channel, **more)
 
 
-class CanLink:
+class CanLink(Bell):
     """Frames in and out. A `plugd.ports.Inbox` that no frame wakes: they are looked at once a second."""
 
     def __init__(
@@ -77,12 +77,12 @@ class CanLink:
         identifiers: tuple[tuple[int, bool], ...],
         opener: Callable[[Place, tuple[tuple[int, bool], ...]], can.BusABC] = open_bus,
     ) -> None:
+        super().__init__()
         self._place = place
         self._clock = clock
         self._identifiers = identifiers
         self._open = opener
         self._bus: can.BusABC | None = None
-        self._bell = threading.Event()
         self._failures = 0
         self._again_s = float("-inf")
         self._heard_s = 0.0
@@ -190,21 +190,6 @@ class CanLink:
         said = " ".join(str(error).split())[:160]
         advice = ADVICE.get(number or 0, said).format(channel=place.channel, bitrate=place.bitrate)
         return f"{place.interface} {place.channel}: {advice}"
-
-    # -- an inbox ---------------------------------------------------------------------------------
-
-    def pending(self) -> bool:
-        """Never: nothing here cannot wait until the next second."""
-        return False
-
-    def wait(self, timeout_s: float) -> None:
-        """Until `wake`, or the time is over."""
-        self._bell.wait(timeout_s)
-        self._bell.clear()
-
-    def wake(self) -> None:
-        """End a wait."""
-        self._bell.set()
 
     def flush(self) -> None:
         """Ask a serial adapter something: it answers after it has taken all that was sent. Others have no such word."""

@@ -1,6 +1,5 @@
 """The real clock: APScheduler rings, whoever waits looks again."""
 
-import threading
 import time
 from contextlib import suppress
 from datetime import UTC, datetime, timedelta
@@ -13,6 +12,7 @@ from apscheduler.triggers.cron import CronTrigger
 from apscheduler.triggers.date import DateTrigger
 from apscheduler.triggers.interval import IntervalTrigger
 
+from plugd.adapters.bell import Bell
 from plugd.errors import PlugdError
 from plugd.ports import Inbox
 
@@ -23,29 +23,6 @@ BEAT_S = 10
 def utc_now() -> datetime:
     """Wall time of this machine, aware UTC."""
     return datetime.now(UTC)
-
-
-class Bell:
-    """An inbox that only rings, for waits that no message can end."""
-
-    def __init__(self) -> None:
-        self._rung = threading.Event()
-
-    def pending(self) -> bool:
-        """Nothing ever arrives."""
-        return False
-
-    def wait(self, timeout_s: float) -> None:
-        """Until `wake` or the time-out."""
-        self._rung.wait(timeout_s)
-        self._rung.clear()
-
-    def wake(self) -> None:
-        """End the wait."""
-        self._rung.set()
-
-    def flush(self) -> None:
-        """Nothing to flush."""
 
 
 class SystemClock:

@@ -1,11 +1,11 @@
 """Where MQTT messages wait to be read: bounded, in order of arrival, and something to wait by."""
 
-import threading
 from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol
+
+from plugd.adapters.bell import Doorbell
 
 MAX_PAYLOAD_BYTES = 4 * 1024
 """What is looked at: nothing that plugd understands is longer."""
@@ -34,36 +34,6 @@ class Message:
     topic: str
     payload: bytes
     retain: bool
-
-
-class Doorbell:
-    """Something to wait by. A ring is kept for the next wait."""
-
-    def __init__(self) -> None:
-        self._news = threading.Condition()  # its lock is re-entrant: `wake` may run in a signal handler
-        self._rung = False
-
-    def wait_for(self, arrived: Callable[[], bool], timeout_s: float) -> None:
-        """Until `arrived`, a ring, or the time is over."""
-        with self._news:
-            self._news.wait_for(lambda: self._rung or arrived(), timeout_s)
-            self._rung = False
-
-    def hold(self, arrived: Callable[[], bool], timeout_s: float) -> bool:
-        """Until `arrived` or the time is over, whoever rings. Returns whether it has arrived."""
-        with self._news:
-            return self._news.wait_for(arrived, timeout_s)
-
-    def look(self) -> None:
-        """Something has changed: those who wait look again."""
-        with self._news:
-            self._news.notify_all()
-
-    def wake(self) -> None:
-        """End a wait, this one or the next."""
-        with self._news:
-            self._rung = True
-            self._news.notify_all()
 
 
 class Line(Protocol):

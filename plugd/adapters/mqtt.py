@@ -16,7 +16,8 @@ from paho.mqtt.enums import MQTTErrorCode
 from paho.mqtt.properties import MQTTException  # type: ignore[attr-defined] # the one place of it in 2.1 and 2.2
 from paho.mqtt.reasoncodes import ReasonCode
 
-from plugd.adapters.mailbox import Doorbell, Mailbox, Message, Retained
+from plugd.adapters.bell import Doorbell
+from plugd.adapters.mailbox import Mailbox, Message, Retained
 from plugd.adapters.mqtt_client import (
     TAKEN_OVER,
     V5,

@@ -9,7 +9,8 @@ from datetime import UTC, datetime, timedelta
 import pytest
 
 from plugd.adapters import clock as clocks
-from plugd.adapters.clock import Bell, SystemClock, utc_now
+from plugd.adapters.bell import Bell
+from plugd.adapters.clock import SystemClock, utc_now
 from plugd.errors import PlugdError
 from plugd.units import next_slot
 
@@ -57,6 +58,15 @@ class Broken(Bell):
         raise RuntimeError("the bell has no clapper")
 
 
+class Interrupted(Bell):
+    """One that is rung, as by a signal handler, by the thread that is about to wait and holds its lock."""
+
+    def pending(self) -> bool:
+        """Nothing but the ring."""
+        self.wake()
+        return False
+
+
 class Cold(Bell):
     """One that tells when somebody has begun to wait."""
 
@@ -94,6 +104,12 @@ def test_a_wake_before_the_wait_is_not_lost(clock: SystemClock) -> None:
     inbox = Bell()
     inbox.wake()
     assert took_s(clock, clock.now() + FAR, inbox) < SOON_S
+
+
+def test_a_signal_handler_may_ring_whatever_it_has_interrupted(clock: SystemClock) -> None:
+    began_s = clock.monotonic()
+    Interrupted().wait(FAR.total_seconds())
+    assert clock.monotonic() - began_s < SOON_S
 
 
 def test_nobody_waits_with_something_in_the_inbox_or_for_the_past(clock: SystemClock) -> None:
