@@ -64,6 +64,12 @@ class Line:
         self._socket.close()
 
 
+def address(text: str) -> tuple[str, int]:
+    """HOST:PORT; without a host it is this machine."""
+    host, _, port = text.rpartition(":")
+    return host or "127.0.0.1", int(port)
+
+
 class Participant:
     """`plugd.ports.Clock` on the conductor's time."""
 

@@ -19,7 +19,7 @@ from typing import Any
 
 from plugd.errors import UsageError
 from plugd.units import iso, require_utc, slot_start
-from plugd_hil.conductor import Line
+from plugd_hil.conductor import Line, address
 from plugd_hil.neso_answers import Refused, answer_to
 from plugd_hil.neso_faults import CONTENT, LINE, NAMES, OUTAGE, Answer, send
 from plugd_hil.neso_source import SeriesSource, Shifted, Source, from_file, from_folder, shift_to
@@ -155,8 +155,7 @@ def _set_up(options: argparse.Namespace) -> tuple[Callable[[], datetime], Source
     else:
         source = from_file(Path(options.source), options.seed)
     if options.clock is not None:
-        host, _, port = options.clock.rpartition(":")
-        return asking(host or LOOPBACK, int(port)), source
+        return asking(*address(options.clock)), source
     now = partial(datetime.now, UTC)
     at = now()
     if options.as_of == "now":

@@ -22,7 +22,7 @@ from plugd_hil.broker import Mosquitto
 from plugd_hil.car import CarAtHome
 from plugd_hil.conductor import Conductor
 from plugd_hil.outlet import Said
-from plugd_hil.plug import Scene
+from plugd_hil.scene import Scene
 from plugd_hil.tasmota import TasmotaPlug
 
 ROOT = Path(__file__).resolve().parents[2]
