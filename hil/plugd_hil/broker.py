@@ -1,14 +1,17 @@
 """An MQTT broker on a free loopback port: mosquitto where it is installed, else amqtt."""
 
+import os
 import shutil
 import socket
 import subprocess
 import sys
 import threading
 from collections import deque
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from importlib.util import find_spec
 from pathlib import Path
+
+from plugd.errors import PlugdError
 
 SBIN = ("/usr/sbin", "/usr/local/sbin")
 """Where Debian puts servers; an ordinary user's PATH lacks both."""
@@ -131,3 +134,14 @@ def any_broker(path: str, folder: Path) -> BrokerProcess:
     if find_spec("amqtt") is not None:
         return Amqtt()
     raise LookupError("no MQTT broker: sudo apt install mosquitto, or pip install 'plugd[demo]'")
+
+
+def running_broker(folder: Path, left: ExitStack) -> BrokerProcess:
+    """One that runs until `left` is unwound. Raises PlugdError, in its words or with the remedy."""
+    try:
+        broker = any_broker(os.environ.get("PATH", ""), folder)
+        left.callback(broker.stop)
+        broker.start()
+    except (LookupError, RuntimeError) as error:
+        raise PlugdError(str(error).strip()) from error
+    return broker

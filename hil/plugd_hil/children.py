@@ -1,6 +1,7 @@
 """The processes of one run: started together, watched, and ended together."""
 
 import json
+import os
 import subprocess
 import sys
 from contextlib import suppress
@@ -16,12 +17,12 @@ FAREWELL_S = 10.0
 class Children:
     """Programs of ours by name; what they write to stderr goes to a log in `folder`. `close` ends them all."""
 
-    environment: dict[str, str]
     folder: Path
     running: dict[str, subprocess.Popen[str]] = field(default_factory=dict)
 
     def start(self, name: str, *arguments: str, says: bool = False) -> dict[str, object]:
         """Start one; returns the JSON line with which it says that it is ready, if it does. Raises PlugdError."""
+        environment = {k: v for k, v in os.environ.items() if k != "STATE_DIRECTORY"}
         with (self.folder / f"{name}.log").open("a", encoding="utf-8") as log:
             child = subprocess.Popen(
                 [sys.executable, "-m", *arguments],
@@ -29,7 +30,7 @@ class Children:
                 stdout=subprocess.PIPE,
                 stderr=log,
                 text=True,
-                env=self.environment,
+                env={**environment, "PYTHONUNBUFFERED": "1"},
             )
         self.running[name] = child
         if not says or child.stdout is None:

@@ -1,7 +1,6 @@
 """Everything that a scenario needs, running: broker, stubs, daemon, somebody who listens, and the passing of time."""
 
 import json
-import os
 import signal
 import time
 from collections.abc import Callable
@@ -13,7 +12,7 @@ from typing import Any
 from plugd import config as configuration
 from plugd.adapters.mqtt import Broker, MqttConnection, Retained
 from plugd.errors import PlugdError
-from plugd_hil.broker import HOST, BrokerProcess, any_broker
+from plugd_hil.broker import HOST, running_broker
 from plugd_hil.children import Children
 from plugd_hil.conductor import Conductor
 from plugd_hil.scenario import CAN, Scenario
@@ -47,12 +46,11 @@ class House:
         self.heard: list[tuple[datetime, str, str]] = []
         """(at, topic, payload)"""
         self.ledger = folder / "ledger.jsonl"
-        self._broker = _broker(folder, left)
+        self._broker = running_broker(folder, left)
         self._conductor = None if natural else Conductor(scenario.start, ("plug", "plugd"))
         if self._conductor is not None:
             left.callback(self._conductor.close)
-        environment = {k: v for k, v in os.environ.items() if k != "STATE_DIRECTORY"}
-        self._children = Children({**environment, "PYTHONUNBUFFERED": "1"}, folder)
+        self._children = Children(folder)
         left.callback(self._children.close)
         if self._conductor is not None:
             left.callback(self._conductor.hang_up)
@@ -224,16 +222,6 @@ ORDERS: dict[str, Callable[[House, Event], None]] = {
     "broker": House.broker,
     "plugd": House.daemon,
 }
-
-
-def _broker(folder: Path, left: ExitStack) -> BrokerProcess:
-    try:
-        broker = any_broker(os.environ.get("PATH", ""), folder)
-        left.callback(broker.stop)
-        broker.start()
-    except (LookupError, RuntimeError) as error:
-        raise PlugdError(str(error).strip()) from error
-    return broker
 
 
 def _stays(scenario: Scenario) -> list[Event]:

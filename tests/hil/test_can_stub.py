@@ -10,9 +10,9 @@ import pytest
 from can.interfaces.slcan import slcanBus
 
 from plugd.study.world import Battery
-from plugd_hil import demo
 from plugd_hil.account import read_ledger
 from plugd_hil.car import CarAtHome
+from plugd_hil.demo_run import Options, simulate
 from plugd_hil.elcon import COMMAND_ID, ElconCharger, Rating
 from plugd_hil.slcan import SlcanWire, line_of, message_of
 
@@ -109,7 +109,7 @@ def test_after_its_adapter_has_answered_all_that_was_sent_is_there(wire: SlcanWi
 def test_the_demo_on_can_has_a_word_for_the_charger_every_period(tmp_path: Path) -> None:
     start = datetime(2023, 1, 2, 17, 50, tzinfo=UTC)
     end = start + timedelta(minutes=15)
-    ledger, _ = demo._simulate(demo.Options(plug="can_elcon"), tmp_path, start, end, lambda _: None)
+    ledger, _ = simulate(Options(plug="can_elcon"), tmp_path, start, end, lambda _: None)
     last = ledger.read_text().splitlines()[-1]
     assert read_ledger(ledger)[-1].at == end
     assert '"invalid": 0, "opened_under_load": 0, "longest_silence_s": 2.0' in last

@@ -20,10 +20,11 @@ import pytest
 
 from plugd.study.world import Stay
 from plugd_hil import broker as brokers
-from plugd_hil import demo
+from plugd_hil import demo, demo_run
 from plugd_hil.account import Night, read_ledger
 from plugd_hil.broker import Amqtt, Mosquitto, any_broker
 from plugd_hil.conductor import Conductor, Line
+from plugd_hil.demo_outcome import Outcome
 from tests.conftest import find_data
 from tests.programs import environment
 
@@ -212,7 +213,7 @@ def test_the_table_has_a_line_a_night_and_a_comparison_last(
     stay = Stay(START + timedelta(hours=6), START + timedelta(hours=21), 5.0)
     night = Night(stay, START + timedelta(hours=19), 0.4, 0.5, 0.8, 0.5, 5.0, 500.0, 1, "It was clean.")
     late = replace(night, morning_soc=0.4, charged_kwh=0.0, carbon_g=0.0, reason="It was not.")
-    found = demo.Outcome("synthetic", (night, late), (5.0, 500.0), (5.0, 1000.0), (5.0, 400.0), 0, 1.0)
+    found = Outcome("synthetic", (night, late), (5.0, 500.0), (5.0, 1000.0), (5.0, 400.0), 0, 1.0)
     monkeypatch.setattr(demo, "run", lambda options, progress: found)
     assert demo.main([]) == 0
     out, err = capsys.readouterr()
@@ -359,7 +360,7 @@ def test_a_daemon_that_does_not_start_is_named_at_once(
 ) -> None:
     for name, value in environment().items():
         monkeypatch.setenv(name, value)
-    monkeypatch.setattr(demo, "CONFIG", demo.CONFIG.replace('dir = "{state}"', 'dir = "/dev/null" # {state}'))
+    monkeypatch.setattr(demo_run, "CONFIG", demo_run.CONFIG.replace('dir = "{state}"', 'dir = "/dev/null" # {state}'))
     assert demo.main(["--days", "1"]) == 1
     err = capsys.readouterr().err
     assert err.startswith("plugd demo: the demo stopped: plugd ended before its time (status 1): plugd: /dev/null")
