@@ -29,8 +29,8 @@ from plugd.study.house import FunctionSource, RamStore, SimHub
 from plugd.study.world import Battery, Morning, Stay
 from plugd.units import hours
 from plugd_hil.car import CarAtHome
-from plugd_hil.plug import DIALECTS
 from plugd_hil.plug import parser as stub_parser
+from plugd_hil.plug import plug_at
 from plugd_hil.socket import Plug as Stub
 from tests.fakes import MIDNIGHT
 from tests.wire import Wire, WireClock
@@ -166,7 +166,7 @@ class Day:
 
         def make(_: CarAtHome, now: datetime) -> Stub:
             car = CarAtHome(Battery(night.capacity_kwh, 0.5 * night.capacity_kwh), False, None, now)
-            stub = DIALECTS[kind](stub_parser().parse_args(["--dialect", kind]), car, now)
+            stub = plug_at(car, now, stub_parser().parse_args(["--dialect", kind]))
             worlds.append(World(stub, car, night, stays=list(stays(night))))
             return stub
 

@@ -5,10 +5,10 @@ on a change of state; `amp` in mA, `wh` in Wh; the claim and the override retain
 """
 
 import json
-from datetime import datetime, timedelta
+from datetime import timedelta
 from typing import Any
 
-from plugd_hil.outlet import Load, Said
+from plugd_hil.outlet import Said
 from plugd_hil.socket import Socket
 
 VOLTAGE_V = 230.0
@@ -23,25 +23,15 @@ SETTLE = timedelta(seconds=2)
 class OpenEvseCharger:
     """Implements `plugd_hil.socket.Plug`."""
 
-    def __init__(
-        self,
-        topic: str,
-        load: Load,
-        now: datetime,
-        *,
-        power_kw: float = 7.36,
-        on: bool = False,
-        timezone: str = "Europe/London",
-        period_s: float = 30.0,
-    ) -> None:
-        """`power_kw` sets its own limit, in whole amperes. With `on` nobody has claimed it, and it charges."""
+    def __init__(self, topic: str, board: Socket, *, period_s: float = 30.0) -> None:
+        """Its own limit is what the board offers, in whole amperes. On a board that is on, nobody has claimed it."""
         self.topic = topic
         self.muted = False
-        self._max_a = int(power_kw * 1000.0 / VOLTAGE_V + 1e-6)
-        self.board = Socket(load, now, power_kw, on, timezone)
+        self._max_a = int(board.meter.power_kw * 1000.0 / VOLTAGE_V + 1e-6)
+        self.board = board
         self._period = timedelta(seconds=period_s)
         self._settle = min(SETTLE, self._period)
-        self._claim: dict[str, Any] | None = None if on else {"state": "disabled", "auto_release": False}
+        self._claim: dict[str, Any] | None = None if board.on else {"state": "disabled", "auto_release": False}
         self._override: dict[str, Any] | None = None
         self._session_kwh = 0.0
         self._state = self._now_state()

@@ -9,11 +9,11 @@ sensor that has not measured yet. `mqtt`: a plain device of somebody's own, not 
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
-from datetime import datetime, timedelta
+from datetime import timedelta
 from typing import NamedTuple
 
 from plugd.units import to_w
-from plugd_hil.outlet import Load, Said
+from plugd_hil.outlet import Said
 from plugd_hil.socket import Socket
 
 VOLTAGE_V = 230.0
@@ -113,21 +113,10 @@ PREFIXES = {"shelly1": "shellies/"}
 class PlainPlug:
     """Implements `plugd_hil.socket.Plug`."""
 
-    def __init__(
-        self,
-        kind: str,
-        topic: str,
-        load: Load,
-        now: datetime,
-        *,
-        power_kw: float = 2.3,
-        on: bool = False,
-        timezone: str = "Europe/London",
-        period_s: float | None = None,
-    ) -> None:
-        """It has been up for a day, and connects to its broker when told so by `connected`."""
+    def __init__(self, kind: str, topic: str, board: Socket, *, period_s: float | None = None) -> None:
+        """It connects to its broker when told so by `connected`."""
         self.muted = False
-        self.board = Socket(load, now, power_kw, on, timezone)
+        self.board = board
         self._habits = HABITS[kind]
         self._base = f"{PREFIXES.get(kind, '')}{topic}"
         every_s = self._habits.period_s and (period_s or self._habits.period_s)

@@ -15,16 +15,15 @@ from typing import Any, TextIO
 
 from plugd.adapters.mqtt import Broker, Mailbox, MqttConnection, Retained
 from plugd.ports import Clock
-from plugd_hil.car import CarAtHome
 from plugd_hil.conductor import address
 from plugd_hil.openevse import OpenEvseCharger
-from plugd_hil.outlet import Said
+from plugd_hil.outlet import Load, Said
 from plugd_hil.plain import HABITS, PlainPlug
 from plugd_hil.plug_faults import PlugFaults
 from plugd_hil.program import Orders, command_line, live
 from plugd_hil.scene import Scene, car_at_home
 from plugd_hil.shelly2 import Shelly2Plug
-from plugd_hil.socket import Plug
+from plugd_hil.socket import Plug, Socket
 from plugd_hil.tasmota import TasmotaPlug
 
 BROKER_PATIENCE_S = 10.0
@@ -61,42 +60,22 @@ def parser() -> argparse.ArgumentParser:
     return p
 
 
-def _tasmota(options: argparse.Namespace, car: CarAtHome, now: datetime) -> Plug:
-    return TasmotaPlug(
-        options.topic, car, now,
-        power_kw=options.power, on=options.on, timezone=options.timezone, seed=options.seed,
-        tele_period_s=options.tele_period or 300,
-    )  # fmt: skip
-
-
-def _shelly2(options: argparse.Namespace, car: CarAtHome, now: datetime) -> Plug:
-    return Shelly2Plug(
-        options.topic, car, now,
-        power_kw=options.power, on=options.on, timezone=options.timezone,
-        energy_period_s=options.tele_period or 60,
-    )  # fmt: skip
-
-
-def _openevse(options: argparse.Namespace, car: CarAtHome, now: datetime) -> Plug:
-    return OpenEvseCharger(
-        options.topic, car, now,
-        power_kw=options.power, on=options.on, timezone=options.timezone, period_s=options.tele_period or 30,
-    )  # fmt: skip
-
-
-def _plain(options: argparse.Namespace, car: CarAtHome, now: datetime) -> Plug:
-    return PlainPlug(
-        options.dialect, options.topic, car, now,
-        power_kw=options.power, on=options.on, timezone=options.timezone, period_s=options.tele_period,
-    )  # fmt: skip
-
-
-DIALECTS: dict[str, Callable[[argparse.Namespace, CarAtHome, datetime], Plug]] = {
-    "tasmota": _tasmota,
-    "shelly2": _shelly2,
-    "openevse": _openevse,
-    **dict.fromkeys(HABITS, _plain),
+DIALECTS: dict[str, Callable[[argparse.Namespace, Socket], Plug]] = {
+    "tasmota": lambda options, board: TasmotaPlug(
+        options.topic, board, seed=options.seed, tele_period_s=options.tele_period or 300
+    ),
+    "shelly2": lambda options, board: Shelly2Plug(options.topic, board, energy_period_s=options.tele_period or 60),
+    "openevse": lambda options, board: OpenEvseCharger(options.topic, board, period_s=options.tele_period or 30),
+    **dict.fromkeys(
+        HABITS,
+        lambda options, board: PlainPlug(options.dialect, options.topic, board, period_s=options.tele_period),
+    ),
 }
+
+
+def plug_at(load: Load, now: datetime, options: argparse.Namespace) -> Plug:
+    """The plug as the command line wants it, with this behind it."""
+    return DIALECTS[options.dialect](options, Socket(load, now, options.power, options.on, options.timezone))
 
 
 def run(options: argparse.Namespace, clock: Clock, ledger: TextIO | None, left: ExitStack) -> None:
@@ -104,7 +83,7 @@ def run(options: argparse.Namespace, clock: Clock, ledger: TextIO | None, left: 
     now = clock.now()
     car = car_at_home(options, now)
     told_at = options.soc_topic if options.tell == "arrival" else None
-    scene = Scene(DIALECTS[options.dialect](options, car, now), car, ledger, told_at)
+    scene = Scene(plug_at(car, now, options), car, ledger, told_at)
     faults = PlugFaults(options.seed)
     will = scene.plug.will
     connection = MqttConnection(

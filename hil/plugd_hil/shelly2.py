@@ -8,7 +8,7 @@ from datetime import datetime, timedelta
 from typing import Any
 
 from plugd.units import to_w
-from plugd_hil.outlet import Load, Said
+from plugd_hil.outlet import Said
 from plugd_hil.socket import Socket
 
 VOLTAGE_V = 230.0
@@ -29,22 +29,11 @@ class Refused(Exception):
 class Shelly2Plug:
     """Implements `plugd_hil.socket.Plug`."""
 
-    def __init__(
-        self,
-        topic: str,
-        load: Load,
-        now: datetime,
-        *,
-        power_kw: float = 2.3,
-        on: bool = False,
-        timezone: str = "Europe/London",
-        initial_state: str = "on",
-        energy_period_s: float = 60.0,
-    ) -> None:
-        """It has been up for a day, and connects to its broker when told so by `connected`."""
+    def __init__(self, topic: str, board: Socket, *, initial_state: str = "on", energy_period_s: float = 60.0) -> None:
+        """It connects to its broker when told so by `connected`."""
         self.topic = topic
         self.muted = False
-        self.board = Socket(load, now, power_kw, on, timezone)
+        self.board = board
         self._initial_state = initial_state
         self._period = timedelta(seconds=energy_period_s)
         self._source = "init"

@@ -76,8 +76,10 @@ class Plug(Protocol):
 class Socket:
     """Implements `Board`, with timers and mains for the plug around it."""
 
-    def __init__(self, load: Load, now: datetime, power_kw: float, on: bool, timezone: str) -> None:
-        """`power_kw`: what the socket offers."""
+    def __init__(
+        self, load: Load, now: datetime, power_kw: float = 2.3, on: bool = False, timezone: str = "Europe/London"
+    ) -> None:
+        """`power_kw`: what the socket offers. What is plugged in has been up for a day."""
         self.zone = ZoneInfo(timezone)
         self.meter = Meter(load, power_kw, self.zone, now)
         self.on = on
@@ -127,6 +129,10 @@ class Socket:
     def runs(self, action: Does) -> bool:
         """Whether that timer runs."""
         return action in self._timers
+
+    def left(self, action: Does) -> timedelta:
+        """Until that timer runs out; nothing where it does not run."""
+        return self._timers.get(action, self.now) - self.now
 
     def switch(self, on: bool) -> bool:
         """Move the relay; returns whether it has moved."""

@@ -6,14 +6,12 @@ CmndBacklog, CmndStatus, MqttConnected, MqttShowState, EnergyMarginCheck.
 
 import json
 import random
-from collections import deque
-from collections.abc import Callable
-from datetime import datetime, timedelta
+from datetime import timedelta
+from functools import partial
 from typing import Any
-from zoneinfo import ZoneInfo
 
-from plugd_hil.outlet import Load, Meter, Said
-from plugd_hil.socket import BOOT, WILL_AFTER, Board
+from plugd_hil.outlet import Said
+from plugd_hil.socket import Socket
 from plugd_hil.tasmota_documents import pulse_left, pulse_span, sensor_document, state_document
 
 FIRST_TELEMETRY = timedelta(seconds=5)
@@ -24,46 +22,23 @@ ALWAYS_ON, INVERTED_PULSE = 4, 5
 
 
 class TasmotaPlug:
-    """One relay with a meter. `advance` it to now before anything else; calls return what it says."""
+    """Implements `plugd_hil.socket.Plug`: one relay with a meter."""
 
     def __init__(
-        self,
-        topic: str,
-        load: Load,
-        now: datetime,
-        *,
-        power_kw: float = 2.3,
-        on: bool = False,
-        timezone: str = "Europe/London",
-        seed: int = 0,
-        tele_period_s: int = 300,
-        power_delta: int = 10,
+        self, topic: str, board: Socket, *, seed: int = 0, tele_period_s: int = 300, power_delta: int = 10
     ) -> None:
-        """It has been up for a day, and connects to its broker when told so by `connected`."""
+        """It connects to its broker when told so by `connected`."""
         self.topic = topic
-        self.on = on
         self.muted = False
-        self._zone = ZoneInfo(timezone)
-        self._meter = Meter(load, power_kw, self._zone, now)
+        self.board = board
         self._dice = random.Random(f"{seed}/plug")
-        self._booted = now - timedelta(days=1)
         self._reported_kw = 0.0
-        self._saved_on = on
         self._power_on_state = 3
         self._pulse = 0
-        self.jammed = False
         self._tele_period_s = tele_period_s
         self._power_delta = power_delta
-        self._up = True
-        self._online = False
         self._told_boot = False
-        self._queue: deque[tuple[datetime, str]] = deque()
-        self._timers: dict[Callable[[], list[Said]], datetime] = {}
-
-    @property
-    def board(self) -> Board:
-        """It is its own."""
-        return self
+        self._backlog_until = board.now
 
     @property
     def listens(self) -> tuple[str, ...]:
@@ -75,54 +50,15 @@ class TasmotaPlug:
         """Its last will."""
         return Said(f"tele/{self.topic}/LWT", "Offline", retain=True)
 
-    @property
-    def now(self) -> datetime:
-        """Up to when it has been advanced."""
-        return self._meter.now
-
-    @property
-    def total_kwh(self) -> float:
-        """The meter, unrounded."""
-        return self._meter.total_kwh
-
-    # -- time -------------------------------------------------------------------------------------
-
-    def due(self) -> datetime | None:
-        """When it next does something by itself."""
-        moments = list(self._timers.values())
-        if self._queue:
-            moments.append(self._queue[0][0])
-        return min(moments, default=None)
-
-    def advance(self, to: datetime) -> list[Said]:
-        """Let time pass; timers that run out on the way do so in their order."""
-        said: list[Said] = []
-        while (due := self.due()) is not None and due <= to:
-            self._meter.run(due, self.on)
-            if self._queue and self._queue[0][0] == due:
-                said += self._command(*self._queue.popleft()[1].partition(" ")[::2])
-                continue
-            action = next(a for a, at in self._timers.items() if at == due)
-            del self._timers[action]
-            said += action()
-        self._meter.run(to, self.on)
-        return said
-
-    def _after(self, wait: timedelta | None, action: Callable[[], list[Said]]) -> None:
-        """Start a timer anew, or stop it."""
-        self._timers.pop(action, None)
-        if wait is not None:
-            self._timers[action] = self.now + wait
-
     # -- broker and mains -------------------------------------------------------------------------
 
     def connected(self) -> list[Said]:
         """The network lets it reach its broker again."""
-        return self._online_again() if self._up else []
+        return self._online_again() if self.board.powered else []
 
     def _online_again(self) -> list[Said]:
         """After booting it tells more than after a lost connection."""
-        self._up = self._online = True
+        self.board.online = True
         said = self._say("tele", "LWT", "Online", retain=True) + self._say("cmnd", "POWER", "")
         if not self._told_boot:
             self._told_boot = True
@@ -130,73 +66,65 @@ class TasmotaPlug:
             said += self._say("tele", "INFO2", {"Info2": {"WebServerMode": "Admin", "Hostname": self.topic}})
             said += self._say("tele", "INFO3", {"Info3": {"RestartReason": "Power On", "BootCount": 7}})
             said += self._show()
-            self._after(FIRST_TELEMETRY, self._telemetry)
+            self.board.after(FIRST_TELEMETRY, self._telemetry)
         self.load_changed()
         return said
 
     def cut(self, length: timedelta = timedelta(seconds=5)) -> list[Said]:
         """The mains fail, and are back after `length`. The broker notices by its own means."""
-        self._saved_on = self.on if self._up else self._saved_on
-        self.on = self._up = self._online = False
-        self._queue.clear()
-        self._timers.clear()
-        self._after(length, self._powered)
-        self._after(min(WILL_AFTER, length + BOOT), lambda: [self.will])
-        return []
+        self._backlog_until = self.board.now
+        return self.board.cut(length, self._online_again, lambda: [self.will], self._on_power)
 
-    def _powered(self) -> list[Said]:
-        self._booted, self._told_boot = self.now, False
-        saved = self._saved_on
-        self.on = (False, True, not saved, saved, True, False)[self._power_on_state]
-        if self.on or self._power_on_state == INVERTED_PULSE:
-            self._after(pulse_span(self._pulse) if self._pulse else None, self._pulse_over)
-        self._after(BOOT, self._online_again)
-        return []
+    def _on_power(self, saved: bool) -> bool:
+        """The relay when the mains are back."""
+        self._told_boot = False
+        on = (False, True, not saved, saved, True, False)[self._power_on_state]
+        self._count(on or self._power_on_state == INVERTED_PULSE)
+        return on
 
     def press(self) -> list[Said]:
         """A person presses the button."""
-        return self._switch(not self.on)
+        return self._switch(not self.board.on)
 
     # -- the relay --------------------------------------------------------------------------------
 
     def _switch(self, on: bool) -> list[Said]:
-        if not self.jammed:
-            self.on = on or self._power_on_state == ALWAYS_ON
-        counting = not self.on if self._power_on_state == INVERTED_PULSE else self.on
-        self._after(pulse_span(self._pulse) if counting and self._pulse else None, self._pulse_over)
+        self.board.switch(on or self._power_on_state == ALWAYS_ON)
+        self._count(self.board.on is not (self._power_on_state == INVERTED_PULSE))
         self.load_changed()
         return self._show()
+
+    def _count(self, counting: bool) -> None:
+        """Start PulseTime anew, or stop it."""
+        self.board.after(pulse_span(self._pulse) if counting and self._pulse else None, self._pulse_over)
 
     def _pulse_over(self) -> list[Said]:
         return self._switch(self._power_on_state == INVERTED_PULSE)
 
     def load_changed(self) -> list[Said]:
         """Power that differs from the last report by PowerDelta is told in 2 to 5 s; off is not told."""
-        meter, draws_kw = self._meter, self._draws_kw()
-        until = meter.load.steady_until(self.now, meter.power_kw) if self.on else None
-        self._after(until - self.now if until else None, self.load_changed)
-        if not self.on:
+        board, draws_kw = self.board, self.board.draws_kw()
+        until = board.steady_until()
+        board.after(until - board.now if until else None, self.load_changed)
+        if not board.on:
             self._reported_kw = 0.0
         least_kw = max(min(draws_kw, self._reported_kw), 0.001)
         differs = abs(draws_kw - self._reported_kw) * 100.0 >= max(self._power_delta, 1) * least_kw
-        if not self.on or not self._power_delta or not differs:
-            self._after(None, self._report)
-        elif self._report not in self._timers:
-            self._after(timedelta(seconds=self._dice.uniform(2.0, 5.0)), self._report)
+        if not board.on or not self._power_delta or not differs:
+            board.after(None, self._report)
+        elif not board.runs(self._report):
+            board.after(timedelta(seconds=self._dice.uniform(2.0, 5.0)), self._report)
         return []
 
     def _report(self) -> list[Said]:
-        before_kw, self._reported_kw = self._reported_kw, self._draws_kw()
+        before_kw, self._reported_kw = self._reported_kw, self.board.draws_kw()
         margins = {"MARGINS": {"PowerDelta": round(1000.0 * (self._reported_kw - before_kw))}}
         return self._say("tele", "MARGINS", margins) + self._say("tele", "SENSOR", self._sensors())
-
-    def _draws_kw(self) -> float:
-        return self._meter.load.draws_kw(self._meter.power_kw) if self.on else 0.0
 
     # -- what it says -----------------------------------------------------------------------------
 
     def _say(self, prefix: str, tail: str, said: str | dict[str, Any], retain: bool = False) -> list[Said]:
-        if self.muted or not self._online:
+        if self.muted or not self.board.online:
             return []
         text = said if isinstance(said, str) else json.dumps(said, separators=(",", ":"))
         return [Said(f"{prefix}/{self.topic}/{tail}", text, retain)]
@@ -205,23 +133,25 @@ class TasmotaPlug:
         return self._say("stat", "RESULT", said)
 
     def _show(self) -> list[Said]:
-        return self._result(POWER=WORDS[self.on]) + self._say("stat", "POWER", WORDS[self.on])
+        return self._result(POWER=WORDS[self.board.on]) + self._say("stat", "POWER", WORDS[self.board.on])
 
     def _telemetry(self) -> list[Said]:
-        self._after(timedelta(seconds=self._tele_period_s), self._telemetry)
+        self.board.after(timedelta(seconds=self._tele_period_s), self._telemetry)
         return self._say("tele", "STATE", self._state()) + self._say("tele", "SENSOR", self._sensors())
 
     def _state(self) -> dict[str, Any]:
-        return state_document(self.now.astimezone(self._zone), self.now - self._booted, self.on)
+        return state_document(
+            self.board.now.astimezone(self.board.zone), self.board.now - self.board.booted, self.board.on
+        )
 
     def _sensors(self) -> dict[str, Any]:
-        return sensor_document(self._meter, 1000.0 * self._draws_kw(), self._zone)
+        return sensor_document(self.board.meter, 1000.0 * self.board.draws_kw(), self.board.zone)
 
     # -- what it is told --------------------------------------------------------------------------
 
     def handle(self, topic: str, payload: bytes) -> list[Said]:
         """A message on `cmnd/<topic>/<command>`."""
-        if self.muted or not self._online:
+        if self.muted or not self.board.online:
             return []
         return self._command(topic.rsplit("/", 1)[-1], payload.decode("utf-8", "replace"))
 
@@ -240,21 +170,22 @@ class TasmotaPlug:
 
     def _backlog(self, index: str, payload: str) -> list[Said]:
         """The first at once, each further one 200 ms later; Backlog0 all at once."""
-        step = timedelta(0) if index == "0" else BACKLOG_STEP
-        commands = [c.strip() for c in payload.split(";") if c.strip()]
-        start = self._queue[-1][0] + step if self._queue else self.now
-        self._queue.extend((start + i * step, command) for i, command in enumerate(commands))
-        return self.advance(self.now)
+        step, now = timedelta(0) if index == "0" else BACKLOG_STEP, self.board.now
+        start = self._backlog_until + step if self._backlog_until > now else now
+        for i, command in enumerate(c.strip() for c in payload.split(";") if c.strip()):
+            self._backlog_until = start + i * step
+            self.board.after(self._backlog_until - now, partial(self._command, *command.partition(" ")[::2]))
+        return self.board.advance(now)
 
     def _cmnd_power(self, _index: str, payload: str) -> list[Said]:
         wanted = STATES.get(payload.upper())
         if wanted is None:
             return self._show()
-        return self._switch(not self.on if wanted == 2 else bool(wanted))
+        return self._switch(not self.board.on if wanted == 2 else bool(wanted))
 
     def _cmnd_status(self, _index: str, payload: str) -> list[Said]:
         documents = {
-            "": ("STATUS", {"Status": {"Topic": self.topic, "Power": str(int(self.on)),
+            "": ("STATUS", {"Status": {"Topic": self.topic, "Power": str(int(self.board.on)),
                                        "PowerOnState": self._power_on_state}}),
             "8": ("STATUS8", {"StatusSNS": self._sensors()}),
             "10": ("STATUS10", {"StatusSNS": self._sensors()}),
@@ -269,8 +200,8 @@ class TasmotaPlug:
     def _cmnd_pulse_time(self, index: str, payload: str) -> list[Said]:
         if payload.isdigit() and int(payload) < 65536:
             self._pulse = int(payload)
-            self._after(pulse_span(self._pulse) if self._pulse else None, self._pulse_over)
-        left = pulse_left(self._timers.get(self._pulse_over, self.now) - self.now)
+            self._count(True)
+        left = pulse_left(self.board.left(self._pulse_over))
         if index or payload:
             return self._result(PulseTime1={"Set": self._pulse, "Remaining": left})
         return self._result(PulseTime={"Set": [self._pulse, *NO_OTHERS], "Remaining": [left, *NO_OTHERS]})
@@ -285,7 +216,7 @@ class TasmotaPlug:
     def _cmnd_tele_period(self, _index: str, payload: str) -> list[Said]:
         if payload.isdigit() and int(payload) <= 3600:
             self._tele_period_s = 300 if int(payload) == 1 else max(10, int(payload))
-            self._after(timedelta(seconds=self._tele_period_s), self._telemetry)
+            self.board.after(timedelta(seconds=self._tele_period_s), self._telemetry)
         return self._result(TelePeriod=self._tele_period_s)
 
     def _cmnd_power_delta(self, _index: str, payload: str) -> list[Said]:
@@ -296,5 +227,5 @@ class TasmotaPlug:
 
     def _cmnd_power_lock(self, _index: str, payload: str) -> list[Said]:
         if payload in ("0", "1"):
-            self.jammed = payload == "1"
-        return self._result(PowerLock1=str(int(self.jammed)))
+            self.board.jammed = payload == "1"
+        return self._result(PowerLock1=str(int(self.board.jammed)))

@@ -2,6 +2,7 @@
 
 import json
 from datetime import timedelta
+from functools import partial
 
 import pytest
 
@@ -9,8 +10,8 @@ from plugd.adapters.shelly2 import Shelly2
 from plugd.adapters.switched import SwitchedPlug
 from plugd.adapters.tasmota import Tasmota
 from plugd.domain import Mode, Relay, SetMode
-from plugd_hil.plug import DIALECTS
 from plugd_hil.plug import parser as stub_parser
+from plugd_hil.plug import plug_at
 from tests.dead_man import FIRST_KILL, KINDS, NIGHTS, QUARTER, Day, kills
 from tests.wire import Wire, WireClock
 
@@ -54,7 +55,7 @@ def test_a_tasmota_plug_writes_its_timer_to_flash_once() -> None:
 def wire(kind: str) -> Wire:
     """A stub of this kind at the other end."""
     options = stub_parser().parse_args(["--dialect", kind])
-    return Wire(lambda car, now: DIALECTS[kind](options, car, now))
+    return Wire(partial(plug_at, options=options))
 
 
 def test_a_shelly_is_given_no_longer_than_to_the_last_safe_start() -> None:

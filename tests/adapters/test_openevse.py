@@ -13,6 +13,7 @@ from plugd.domain import Capability, Reading, Relay, Setpoint
 from plugd.errors import PlugFault, PlugRefused, PlugTimeout
 from plugd_hil.openevse import OpenEvseCharger
 from plugd_hil.outlet import Said
+from plugd_hil.socket import Socket
 from tests.wire import Wire, WireClock
 
 SOON = timedelta(seconds=60)
@@ -52,7 +53,7 @@ class Bench:
 @pytest.fixture
 def bench() -> Bench:
     """A charger of 7.36 kW that tells everything every 30 s."""
-    wire = Wire(lambda car, now: OpenEvseCharger("ev-plug", car, now))
+    wire = Wire(lambda car, now: OpenEvseCharger("ev-plug", Socket(car, now, 7.36)))
     clock = WireClock(wire)
     bench = Bench(OpenEvse(wire, clock, "ev-plug", Capability(7.36, modulating=True, power_min_kw=1.38)), clock, wire)
     bench.charger.read()

@@ -16,6 +16,7 @@ from plugd.errors import PlugFault, PlugRefused, PlugTimeout
 from plugd_hil.outlet import Said
 from plugd_hil.plain import PlainPlug
 from plugd_hil.shelly2 import Shelly2Plug
+from plugd_hil.socket import Socket
 from tests.wire import Wire, WireClock
 
 
@@ -48,10 +49,10 @@ class Bench:
 def bench_of(kind: str, **options: Any) -> Bench:
     """The adapter as the daemon builds it."""
     if kind == "shelly2":
-        wire = Wire(lambda car, now: Shelly2Plug("p", car, now, **options))
+        wire = Wire(lambda car, now: Shelly2Plug("p", Socket(car, now, **options)))
         dialect: Shelly2 | Plain = Shelly2("p", "plugd/me")
     else:
-        wire = Wire(lambda car, now: PlainPlug(kind, "p", car, now, **options))
+        wire = Wire(lambda car, now: PlainPlug(kind, "p", Socket(car, now, **options)))
         dialect = Plain("p", PRESETS[kind])
     clock = WireClock(wire)
     return Bench(SwitchedPlug(wire, clock, "p", dialect, 2.3, 3600.0), clock, wire)

@@ -5,6 +5,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from datetime import timedelta
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
@@ -16,8 +17,8 @@ from plugd.domain import Reading, Relay, Setpoint, Wanted
 from plugd.errors import PlugTimeout
 from plugd.ports import Clock, Plug
 from plugd_hil.broker import Mosquitto
-from plugd_hil.plug import DIALECTS
 from plugd_hil.plug import parser as stub_parser
+from plugd_hil.plug import plug_at
 from tests.contract.can_rig import can_slcan
 from tests.fakes import FakeCharger, FakeClock, FakePlug
 from tests.wire import Wire, WireClock
@@ -258,7 +259,7 @@ def wired(kind: str, more: str = "") -> Callable[[Callable[[], Mosquitto]], Iter
 
     def rig(_broker: Callable[[], Mosquitto]) -> Iterator[Rig]:
         options = stub_parser().parse_args(["--dialect", kind, "--power", str(POWER_KW), "--tele-period", "1"])
-        wire = Wire(lambda car, now: DIALECTS[kind](options, car, now))
+        wire = Wire(partial(plug_at, options=options))
         config = parse(f'[plug]\nkind = "{kind}"\ntopic = "ev-plug"\npower_kw = {POWER_KW}\n{more}')
         yield WireRig(wire, daemon.plug_for(config, wire, WireClock(wire)), metered=not more)
 

@@ -23,6 +23,7 @@ from plugd_hil.car import CarAtHome
 from plugd_hil.conductor import Conductor
 from plugd_hil.outlet import Said
 from plugd_hil.scene import Scene
+from plugd_hil.socket import Socket
 from plugd_hil.tasmota import TasmotaPlug
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -41,7 +42,7 @@ class Bench:
 
     def __post_init__(self) -> None:
         self.car = CarAtHome(Battery(), True, None, self.now)
-        self.plug = TasmotaPlug("ev-plug", self.car, self.now, power_delta=self.power_delta)
+        self.plug = TasmotaPlug("ev-plug", Socket(self.car, self.now), power_delta=self.power_delta)
         self.plug.connected()
 
     def tell(self, command: str, payload: str = "") -> list[Said]:
@@ -55,10 +56,10 @@ class Bench:
 
     def after(self, seconds: float) -> list[tuple[float, str]]:
         """What it says by itself in this time: seconds from now, topic."""
-        start, end, said = self.plug.now, self.plug.now + timedelta(seconds=seconds), []
-        while (due := self.plug.due()) is not None and due <= end:
-            said += [((due - start).total_seconds(), s.topic) for s in self.plug.advance(due)]
-        self.plug.advance(end)
+        start, end, said = self.plug.board.now, self.plug.board.now + timedelta(seconds=seconds), []
+        while (due := self.plug.board.due()) is not None and due <= end:
+            said += [((due - start).total_seconds(), s.topic) for s in self.plug.board.advance(due)]
+        self.plug.board.advance(end)
         return said
 
 
@@ -81,7 +82,7 @@ def test_power_is_answered_twice(bench: Bench, payload: str, on: bool) -> None:
         Said("stat/ev-plug/RESULT", json.dumps({"POWER": word}, separators=(",", ":"))),
         Said("stat/ev-plug/POWER", word),
     ]
-    assert bench.plug.on is on
+    assert bench.plug.board.on is on
 
 
 def test_what_it_says_on_reaching_its_broker() -> None:
@@ -132,9 +133,9 @@ def test_pulse_time_ends_on_or_with_state_five_off(bench: Bench, power_on_state:
     bench.tell("PulseTime1", "160")
     bench.tell("POWER", "ON" if first else "OFF")
     bench.after(59.9)
-    assert bench.plug.on is first
+    assert bench.plug.board.on is first
     bench.after(0.2)
-    assert bench.plug.on is then
+    assert bench.plug.board.on is then
 
 
 def test_every_off_restarts_the_timer(bench: Bench) -> None:
@@ -143,10 +144,10 @@ def test_every_off_restarts_the_timer(bench: Bench) -> None:
     for _ in range(10):
         bench.tell("POWER", "OFF")
         bench.after(50.0)
-        assert not bench.plug.on
+        assert not bench.plug.board.on
         assert bench.result("PulseTime1")["PulseTime1"] == {"Set": 160, "Remaining": 100}
     bench.after(11.0)
-    assert bench.plug.on
+    assert bench.plug.board.on
 
 
 def test_a_query_does_not_restart_the_timer(bench: Bench) -> None:
@@ -156,9 +157,9 @@ def test_a_query_does_not_restart_the_timer(bench: Bench) -> None:
     for _ in range(3):
         bench.tell("POWER", "")
         bench.after(0.15)
-    assert not bench.plug.on
+    assert not bench.plug.board.on
     bench.after(0.1)
-    assert bench.plug.on
+    assert bench.plug.board.on
 
 
 def test_a_backlog_takes_its_time(bench: Bench) -> None:
@@ -178,10 +179,10 @@ def test_after_a_power_cut(bench: Bench, state: int, before: bool, after: bool) 
     bench.tell("PowerOnState", str(state))
     bench.plug.cut(timedelta(seconds=60))
     assert bench.tell("POWER", "ON") == [], "no mains, no answer"
-    assert not bench.plug.on
+    assert not bench.plug.board.on
     said = bench.after(62.9)
     assert said == [(45.0, "tele/ev-plug/LWT")], "the broker's own words"
-    assert bench.plug.on is after
+    assert bench.plug.board.on is after
     back = [topic for _, topic in bench.after(1.0)]
     assert back[:2] == ["tele/ev-plug/LWT", "cmnd/ev-plug/POWER"]
     assert back[-2:] == ["stat/ev-plug/RESULT", "stat/ev-plug/POWER"]
@@ -193,9 +194,9 @@ def test_state_five_comes_on_after_a_power_cut_by_its_timer(bench: Bench) -> Non
     bench.after(1.0)
     bench.plug.cut(timedelta(seconds=2))
     bench.after(31.9)
-    assert not bench.plug.on
+    assert not bench.plug.board.on
     bench.after(0.2)
-    assert bench.plug.on
+    assert bench.plug.board.on
 
 
 def test_locked_and_always_on(bench: Bench) -> None:
@@ -212,7 +213,7 @@ def test_a_mute_plug_lives_on_in_silence(bench: Bench) -> None:
     bench.plug.muted = True
     assert bench.tell("POWER", "") == []
     assert bench.after(600.0) == []
-    assert bench.plug.on
+    assert bench.plug.board.on
 
 
 def test_plugd_understands_it(bench: Bench) -> None:
@@ -256,7 +257,7 @@ def test_the_ledger_accounts_for_every_half_hour() -> None:
     driver = Driver(seed=3)
     battery = Battery(capacity_kwh=400.0)  # never full: what flows is what is offered
     car = CarAtHome(battery, False, driver.stays(start), start)
-    plug = TasmotaPlug("ev-plug", car, start)
+    plug = TasmotaPlug("ev-plug", Socket(car, start))
     ledger = StringIO()
     scene = Scene(plug, car, ledger, "car/soc")
     said = plug.connected()
