@@ -8,7 +8,7 @@ exact solver answers in microseconds. A wave of such choices gives a first plan,
 budget lasts. No bound is given up but a minimum that no such plan keeps: then what is least short counts first.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from heapq import heappop, heappush
 from itertools import accumulate
@@ -85,17 +85,22 @@ class Search:
         lower, upper = repair(wanted, most, rooms)
         if any(kept > high + KEPT_KWH for kept, high in zip(upper, most, strict=True)):
             return None
-        short_kwh = sum(max(0.0, want - low) for want, low in zip(wanted, lower, strict=True))
         rest = replace(links, room_kwh=room, session_room_kwh=rooms, lower_kwh=lower, upper_kwh=upper)
         found = self.optimum(self.problem, rest)
         charge = tuple(x + more for x, more in zip(found, taken, strict=True))
-        return Node(
-            short_kwh if short_kwh > KEPT_KWH else 0.0,
-            account(self.problem, self.asked, list(charge)).objective_g,
-            charge,
-            closed,
-            forced,
-        )
+        return self._judged(charge, zip(wanted, lower, strict=True), closed, forced)
+
+    def _judged(
+        self,
+        charge_kwh: tuple[float, ...],
+        minima: Iterable[tuple[float, float]],
+        closed: frozenset[int],
+        forced: frozenset[int],
+    ) -> Node:
+        """A plan with what counts of it. `minima`: (asked, kept) up to each session's end."""
+        short_kwh = sum(max(0.0, asked - kept) for asked, kept in minima)
+        objective_g = account(self.problem, self.asked, list(charge_kwh)).objective_g
+        return Node(short_kwh if short_kwh > KEPT_KWH else 0.0, objective_g, charge_kwh, closed, forced)
 
     def best(self) -> Node:
         """The best plan found that keeps the least power."""
@@ -141,14 +146,7 @@ class Search:
         under = frozenset(self.under(charge_kwh))
         charge = tuple(0.0 if i in under else x for i, x in enumerate(charge_kwh))
         totals = accumulate(session_charges_kwh(self.links, list(charge)))
-        short_kwh = sum(max(0.0, low - total) for low, total in zip(self.links.lower_kwh, totals, strict=True))
-        return Node(
-            short_kwh if short_kwh > KEPT_KWH else 0.0,
-            account(self.problem, self.asked, list(charge)).objective_g,
-            charge,
-            closed,
-            forced,
-        )
+        return self._judged(charge, zip(self.links.lower_kwh, totals, strict=True), closed, forced)
 
     def _whole(self, weak: frozenset[int]) -> Iterator[Node]:
         """Where every slot is wholly on or off and all are alike: the plan on bounds that count whole slots.
