@@ -277,13 +277,17 @@ def study_year(case: tuple[float, bool, int]) -> Account:
     return runs.simulated(chosen)
 
 
+def head(*columns: str) -> None:
+    """A table's first two lines."""
+    print(f"| {' | '.join(columns)} |\n{'|---' * len(columns)}|")
+
+
 def relay_table(asked: argparse.Namespace) -> None:
     """The relay beside a charger of the same power, a year in seconds."""
     cases = [(kw, m, seed) for kw in asked.kw or POWERS_KW for seed in range(asked.seeds) for m in (True, False)]
     with ProcessPoolExecutor(asked.workers) as pool:
         found = dict(zip(cases, pool.map(study_year, cases), strict=True))
-    print("| kW | charger g/kWh | relay g/kWh | relay against charger % | switch-ons a night | most | missed |")
-    print("|---|---|---|---|---|---|---|")
+    head("kW", "charger g/kWh", "relay g/kWh", "relay against charger %", "switch-ons a night", "most", "missed")
     for kw in asked.kw or POWERS_KW:
         chargers, relays = ([found[kw, m, seed] for seed in range(asked.seeds)] for m in (True, False))
         charger_g, relay_g = (fmean(each.carbon_g_per_kwh or 0.0 for each in kind) for kind in (chargers, relays))
@@ -304,9 +308,8 @@ def house_table(asked: argparse.Namespace) -> None:
         for modulating in (True, False)
     ]  # fmt: skip
     found = simulate(asked, lines)
-    print("| world | kW | charger g/kWh | relay g/kWh | relay against charger % | inside the night % | "
-          "switch-ons a night | most | missed | guard |")  # fmt: skip
-    print("|---|---|---|---|---|---|---|---|---|---|")
+    head("world", "kW", "charger g/kWh", "relay g/kWh", "relay against charger %", "inside the night %",
+         "switch-ons a night", "most", "missed", "guard")  # fmt: skip
     for line in lines:
         if line.modulating:
             continue
@@ -327,9 +330,8 @@ def stillness_table(asked: argparse.Namespace) -> None:
         for world in asked.world or ("errors", "paper") for kw in asked.kw or (2.3,) for hold in HOLDS_G_PER_KWH
     ]  # fmt: skip
     found = simulate(asked, lines)
-    print("| world | kW | hold g/kWh | reversals a night | near ones | switch-ons a night | g/kWh | against none % | "
-          "missed |")  # fmt: skip
-    print("|---|---|---|---|---|---|---|---|---|")
+    head("world", "kW", "hold g/kWh", "reversals a night", "near ones", "switch-ons a night", "g/kWh",
+         "against none %", "missed")  # fmt: skip
     for line in lines:
         free, total = together(found[replace(line, hold_g_per_kwh=0.0)]), together(found[line])
         print(
