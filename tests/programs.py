@@ -7,6 +7,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterable
 from contextlib import suppress
+from datetime import timedelta
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, TextIO
@@ -14,8 +15,35 @@ from typing import Any, Self, TextIO
 from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 
+from plugd.adapters.clock import utc_now
+from plugd_hil.broker import BrokerProcess
+
 PATIENCE_S = 30.0
 """For what takes a second on a quiet machine."""
+UNDER_WAY = """
+[broker]
+host = "{host}"
+port = {port}
+[plug]
+topic = "ev-plug"
+{plug}
+[nights]
+plug_in = "{plug_in:%H:%M}"
+plug_in_sd_min = 0
+plug_out = "{plug_out:%H:%M}"
+plug_out_sd_min = 0
+[forecast]
+base_url = "http://127.0.0.1:{neso}"
+[relay]
+min_on_min = 0
+min_off_min = 0
+random_delay_s = 0
+[state]
+dir = "{folder}/state"
+[web]
+enabled = false
+{more}
+"""
 
 
 def environment(**more: str) -> dict[str, str]:
@@ -117,6 +145,21 @@ def _read(stream: TextIO | None, heard: Heard) -> None:
             heard.put(json.loads(line))
         except ValueError:
             heard.put(line.rstrip("\n"))
+
+
+def under_way(broker: BrokerProcess, neso: Program, folder: Path, plug: str = "", more: str = "") -> str:
+    """plugd's configuration: a session is under way, and the relay may move at any time. `plug`: more of [plug]."""
+    now = utc_now()
+    return UNDER_WAY.format(
+        host=broker.host,
+        port=broker.port,
+        neso=neso.said.until(lambda line: "port" in line)["port"],
+        folder=folder,
+        plug=plug,
+        plug_in=now - timedelta(hours=3),
+        plug_out=now + timedelta(hours=12),
+        more=more,
+    )
 
 
 class Listener:

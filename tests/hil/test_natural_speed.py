@@ -13,38 +13,12 @@ import requests
 from plugd.adapters.clock import utc_now
 from plugd.units import slot_start
 from plugd_hil.broker import Mosquitto, free_port
-from tests.programs import Listener, Program
+from tests.programs import Listener, Program, under_way
 
 pytestmark = pytest.mark.requires("mosquitto", "data")
 
 BASE = "plugd/ev"
 DEAD_MAN_S = 30
-
-CONFIG = """
-[home]
-timezone = "UTC"
-[broker]
-host = "{host}"
-port = {port}
-[plug]
-topic = "ev-plug"
-dead_man_s = {dead_man_s}
-[nights]
-plug_in = "{plug_in}"
-plug_in_sd_min = 0
-plug_out = "{plug_out}"
-plug_out_sd_min = 0
-[forecast]
-base_url = "http://127.0.0.1:{neso}"
-[relay]
-min_on_min = 0
-min_off_min = 0
-random_delay_s = 0
-[state]
-dir = "{folder}/state"
-[web]
-enabled = false
-"""
 
 
 @dataclass(slots=True)
@@ -111,19 +85,9 @@ def house(mosquitto: Mosquitto, neso_data: Path, tmp_path: Path) -> Iterator[Hou
         )  # fmt: skip
         listener = Listener(mosquitto.host, mosquitto.port, [f"{BASE}/#"])
         left.callback(listener.close)
-        now = utc_now()
         config = tmp_path / "plugd.toml"
-        config.write_text(
-            CONFIG.format(
-                host=mosquitto.host,
-                port=mosquitto.port,
-                neso=neso.said.until(lambda line: "port" in line)["port"],
-                folder=tmp_path,
-                dead_man_s=DEAD_MAN_S,
-                plug_in=f"{now - timedelta(hours=3):%H:%M}",
-                plug_out=f"{now + timedelta(hours=12):%H:%M}",
-            )
-        )
+        dead_man, zone = f"dead_man_s = {DEAD_MAN_S}", '[home]\ntimezone = "UTC"'
+        config.write_text(under_way(mosquitto, neso, tmp_path, dead_man, zone))
         plug.said.until(lambda line: line.get("ready"))
         yield House(mosquitto, plug, listener, config, left)
 

@@ -10,43 +10,16 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
-from datetime import timedelta
 from pathlib import Path
 from typing import Any, TypeVar
 
 import requests
 from websockets.sync.client import connect
 
-from plugd.adapters.clock import utc_now
 from plugd_hil.broker import HOST, Mosquitto, find_mosquitto, free_port
-from tests.programs import Listener, Program
+from tests.programs import Listener, Program, under_way
 
 BASE = "plugd/ev"
-
-PLUGD = """
-[broker]
-host = "{host}"
-port = {port}
-[plug]
-topic = "ev-plug"
-[car]
-soc_topic = "car/soc"
-[nights]
-plug_in = "{plug_in}"
-plug_in_sd_min = 0
-plug_out = "{plug_out}"
-plug_out_sd_min = 0
-[forecast]
-base_url = "http://127.0.0.1:{neso}"
-[relay]
-min_on_min = 0
-min_off_min = 0
-random_delay_s = 0
-[state]
-dir = "{folder}/state"
-[web]
-enabled = false
-"""
 
 CONFIGURATION = """
 homeassistant: {{name: Home, time_zone: Europe/London, unit_system: metric, country: GB}}
@@ -121,17 +94,8 @@ class House:
         self.plug.said.until(lambda line: line.get("ready"))
         self.ears = Listener(self.broker.host, self.broker.port, [f"{BASE}/#", "homeassistant/#"])
         self.left.callback(self.ears.close)
-        now = utc_now()
-        (self.folder / "plugd.toml").write_text(
-            PLUGD.format(
-                host=self.broker.host,
-                port=self.broker.port,
-                neso=neso.said.until(lambda line: "port" in line)["port"],
-                folder=self.folder,
-                plug_in=f"{now - timedelta(hours=3):%H:%M}",
-                plug_out=f"{now + timedelta(hours=12):%H:%M}",
-            )
-        )
+        text = under_way(self.broker, neso, self.folder, more='[car]\nsoc_topic = "car/soc"')
+        (self.folder / "plugd.toml").write_text(text)
         self.begin_plugd()
 
     def begin_plugd(self) -> None:
