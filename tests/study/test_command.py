@@ -10,22 +10,14 @@ import pytest
 
 from plugd.cli import main
 from plugd_hil.synthetic import synthetic_year
+from tests.study.files import written
 
 WALL = ("wall_s",)
 
 
 @pytest.fixture(scope="module")
 def year(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Six days of 2023 with forecasts 5 % too high and too low in turn."""
-    path = tmp_path_factory.mktemp("study") / "six_days.csv"
-    found = synthetic_year(days=6)
-    rows = (
-        f"{at:%Y-%m-%dT%H:%MZ},{g},{g * (1.05 if at.hour % 2 else 0.95):.1f}"
-        for at, g in zip(found.times(), found.actual, strict=True)
-        if g
-    )
-    path.write_text("\n".join(["from,actual,forecast", *rows]))
-    return path
+    return written(tmp_path_factory.mktemp("study") / "six_days.csv", days=6)
 
 
 @pytest.fixture(scope="module")

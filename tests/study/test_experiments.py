@@ -25,7 +25,7 @@ from plugd.study.runs import paper_run, simulated
 from plugd.study.variants import Variant
 from plugd.study.world import Driver
 from plugd.units import HALF_HOUR
-from plugd_hil.synthetic import synthetic_year
+from tests.study.files import written
 from tests.study.test_engine import FOUND, START
 
 FIGURES = {
@@ -41,15 +41,7 @@ SMALL = {"week": ("--days", "3"), "crowd": ("--cars", "1", "--days", "2"), "vari
 
 @pytest.fixture(scope="module")
 def series(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Eleven days with forecasts 5 % too high and too low in turn."""
-    path = tmp_path_factory.mktemp("study") / "series.csv"
-    found = synthetic_year(days=11)
-    rows = (
-        f"{at:%Y-%m-%dT%H:%MZ},{g},{(g or 0) * (1.05 if at.hour % 2 else 0.95):.1f}"
-        for at, g in zip(found.times(), found.actual, strict=True)
-    )
-    path.write_text("\n".join(["from,actual,forecast", *rows]))
-    return path
+    return written(tmp_path_factory.mktemp("study") / "series.csv", days=11)
 
 
 @pytest.fixture
