@@ -23,7 +23,7 @@ from plugd.adapters.switched import SwitchedPlug
 from plugd.adapters.tasmota import Tasmota
 from plugd.book import Book
 from plugd.config import Config, household
-from plugd.config.sections import MODULATING
+from plugd.config.whole import MODULATING
 from plugd.controller import Controller
 from plugd.cycle import Cycle
 from plugd.domain import Capability, Decision, Forecast, Memory

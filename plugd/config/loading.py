@@ -8,7 +8,8 @@ from typing import Any, get_args, get_origin
 from pydantic import BaseModel, SecretStr, ValidationError
 
 from plugd.config.complaint import complaint, not_toml, one_line
-from plugd.config.sections import Config, DaySection, at
+from plugd.config.sections import DaySection
+from plugd.config.whole import Config, at
 from plugd.domain import Capability, Car, DayRule, Household, Nights, RelayRules
 from plugd.errors import ConfigError
 from plugd.units import from_pct
