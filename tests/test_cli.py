@@ -17,6 +17,7 @@ import pytest
 
 from plugd import __version__
 from plugd.cli import main
+from plugd.config import doubts, parse
 from plugd_hil.broker import Mosquitto, free_port
 from tests.conftest import ROOT
 from tests.programs import Listener, Program, environment
@@ -194,7 +195,7 @@ def test_the_example_of_the_readme_runs_and_is_explained_as_it_says(plugd: Shell
     assert told["explain"]["sessions"][0]["minimum"]["less_saves_g_per_pct"] == pytest.approx(0.5 * (160 - 95))
 
 
-@pytest.mark.parametrize("command", [(), ("run",), ("check",), ("plan",), ("plug",)])
+@pytest.mark.parametrize("command", [(), ("run",), ("init",), ("check",), ("plan",), ("plug",)])
 def test_every_command_explains_itself(plugd: Shell, command: tuple[str, ...]) -> None:
     said = plugd(*command, "--help")
     assert (said.status, said.err) == (0, "")
@@ -260,7 +261,7 @@ def test_without_a_configuration_the_remedy_is_named(plugd: Shell, tmp_path: Pat
     answer = plugd("-c", str(tmp_path / "plugd.toml"), *command)
     assert answer.status == 78
     assert answer.line == (
-        f"plugd: {tmp_path}/plugd.toml: no such file; copy etc/plugd.toml there, or name another with -c"
+        f"plugd: {tmp_path}/plugd.toml: no such file; plugd init writes one, or name another with -c"
     )
 
 
@@ -394,6 +395,28 @@ def test_check_says_what_to_mend(plugd: Shell, bench: Bench, monkeypatch: pytest
     found = findings(plugd("-c", bench.config(topic="toaster"), "check"))
     assert [what for what, (ok, _) in found.items() if not ok] == ["plug"]
     assert "toaster" in found["plug"][1]
+
+
+def test_check_says_where_the_plug_would_be_cut_for_its_current(plugd: Shell, bench: Bench) -> None:
+    path = Path(bench.config())
+    for power, most, kind, ok in (
+        ("2.3", "10", "tasmota", True),
+        ("2.9", "10.5", "tasmota", False),
+        ("2.9", "13", "tasmota", True),
+        ("7.36", "32", "tasmota", True),
+        ("7.36", "10.5", "openevse", True),  # a charger is told what it may give, and is not cut
+    ):
+        text = f'[plug]\nkind = "{kind}"\ntopic = "ev-plug"\npower_kw = {power}\nmax_current_a = {most}\n'
+        assert doubts(parse(text)) == () if ok else len(doubts(parse(text))) == 1
+    path.write_text(path.read_text().replace("power_kw = 2.3", "power_kw = 2.9"))
+    said = plugd("-c", str(path), "check")
+    assert said.status == 1
+    found = findings(said)
+    assert [what for what, (ok, _) in found.items() if not ok] == ["configuration"]
+    assert (
+        "plug.power_kw = 2.9: is 12.6 A at 230 V, and the plug is cut off above plug.max_current_a = 10.5" in said.out
+    )
+    assert "write 2.41, or raise plug.max_current_a where plug, socket and cable bear it" in said.out
 
 
 def test_the_plug_by_hand(plugd: Shell, bench: Bench) -> None:

@@ -1,8 +1,13 @@
 """`plugd check`."""
 
 import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from plugd.cli.parsing import Commands, config_path
+
+if TYPE_CHECKING:
+    from plugd.config import Config
 
 
 def add(commands: Commands) -> None:
@@ -13,13 +18,24 @@ def add(commands: Commands) -> None:
 
 def _check(options: argparse.Namespace) -> int:
     from plugd.config import load
-    from plugd.inspection import check
 
     path = config_path(options)
-    config = load(path)
-    print(f"ok    configuration: {path}")
-    good = True
-    for finding in check(config, click=options.click):
+    return 0 if told(load(path), path, options.click) else 1
+
+
+def told(config: "Config", path: Path, click: bool) -> bool:
+    """Print each finding as it comes. Returns whether all is well."""
+    from plugd.config import doubts
+    from plugd.inspection import check
+
+    doubted = doubts(config)
+    print(f"{_word(not doubted)} configuration: {'; '.join([str(path), *doubted])}")
+    good = not doubted
+    for finding in check(config, click=click):
         good = good and finding.ok
-        print(f"{'ok   ' if finding.ok else 'MEND '} {finding.what}: {finding.text}")
-    return 0 if good else 1
+        print(f"{_word(finding.ok)} {finding.what}: {finding.text}", flush=True)
+    return good
+
+
+def _word(ok: bool) -> str:
+    return "ok   " if ok else "MEND "

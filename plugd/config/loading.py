@@ -29,7 +29,7 @@ def load(path: Path) -> Config:
         with path.open("rb") as file:
             content = file.read(MAX_BYTES + 1)
     except FileNotFoundError:
-        raise ConfigError(f"{name}: no such file; copy etc/plugd.toml there, or name another with -c") from None
+        raise ConfigError(f"{name}: no such file; plugd init writes one, or name another with -c") from None
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or "not a file name"
         raise ConfigError(f"{name}: cannot be read ({reason}); name a file plugd may read with -c") from error
@@ -56,9 +56,18 @@ def parse(text: str, name: str = "plugd.toml", folder: Path = Path()) -> Config:
     try:
         return Config.model_validate(raw, context={"folder": folder})
     except ValidationError as error:
-        first, *others = error.errors(include_url=False)
+        (_, first), *others = complaints(error)
         more = f" (and {len(others)} more)" if others else ""
-        raise ConfigError(f"{name}: {complaint(first, known_keys())}{more}") from None
+        raise ConfigError(f"{name}: {first}{more}") from None
+
+
+def complaints(error: ValidationError) -> tuple[tuple[str, str], ...]:
+    """What is wrong with a document, each as (dotted key, the line for a person)."""
+    known = known_keys()
+    return tuple(
+        (one.get("ctx", {}).get("key") or ".".join(str(part) for part in one["loc"]), complaint(one, known))
+        for one in error.errors(include_url=False)
+    )
 
 
 def known_keys(model: type[BaseModel] = Config, under: str = "") -> tuple[str, ...]:
@@ -151,13 +160,18 @@ def _secret(config: Config, key: str) -> SecretStr | None:
     said = _said(key, path)
     if path.stat().st_mode & stat.S_IROTH:
         raise ConfigError(f"{said}: everyone may read it; chmod 600 {one_line(str(path), 200)}")
+    return secret(content, said)
+
+
+def secret(content: bytes, said: str) -> SecretStr:
+    """What a secret's file holds. Raises ConfigError, which `said` names."""
     try:
-        secret = content.decode("utf-8").rstrip("\r\n")
+        word = content.decode("utf-8").rstrip("\r\n")
     except UnicodeDecodeError:
         raise ConfigError(f"{said}: not UTF-8; write the secret alone, on one line") from None
-    if not secret or not secret.isprintable():
+    if not word or not word.isprintable():
         raise ConfigError(f"{said}: must hold the secret alone, on one line")
-    return SecretStr(secret)
+    return SecretStr(word)
 
 
 def _content(key: str, path: Path, limit: int) -> bytes:

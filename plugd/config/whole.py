@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from functools import reduce
+from math import floor
 from typing import Annotated, Any, Self
 
 from pydantic import Field, model_validator
@@ -20,7 +21,7 @@ from plugd.config.sections import (
     StateSection,
     WebSection,
 )
-from plugd.units import kw_of
+from plugd.units import amps_of, kw_of
 
 
 class Config(Section):
@@ -161,3 +162,17 @@ IMPOSSIBLE: tuple[tuple[str, Callable[[Config], bool], str], ...] = (
     ),
 )
 """(key, when it is impossible, what to do): what only shows when two values are seen together."""
+
+
+def doubts(config: Config) -> tuple[str, ...]:
+    """What is possible, and will not work: each with key, value and remedy."""
+    plug = config.plug
+    flowing_a = amps_of(plug.power_kw, plug.mains_voltage_v)
+    if plug.kind in MODULATING or flowing_a <= plug.max_current_a:
+        return ()
+    most_kw = floor(100 * kw_of(plug.max_current_a, plug.mains_voltage_v)) / 100
+    return (
+        f"plug.power_kw = {plug.power_kw:g}: is {flowing_a:.1f} A at {plug.mains_voltage_v:g} V, and the plug is cut "
+        f"off above plug.max_current_a = {plug.max_current_a:g}; let the car draw less and write {most_kw:g}, or raise "
+        "plug.max_current_a where plug, socket and cable bear it",
+    )

@@ -296,7 +296,7 @@ def file_refusal(path: Path) -> str:
 
 
 def test_a_file_that_is_not_there(tmp_path: Path) -> None:
-    assert "no such file; copy etc/plugd.toml" in file_refusal(tmp_path / "none.toml")
+    assert "no such file; plugd init writes one" in file_refusal(tmp_path / "none.toml")
 
 
 def test_a_folder_in_the_file_s_place(tmp_path: Path) -> None:

@@ -1,0 +1,1 @@
+"""`plugd init`: the first configuration by questions. Whatever is accepted is what `plugd.config` accepts."""

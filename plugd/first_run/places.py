@@ -1,0 +1,45 @@
+"""The regions that the forecast knows by number: the areas of the network operators, and three nations."""
+
+from itertools import zip_longest
+
+REGIONS = {
+    1: "North Scotland",
+    2: "South Scotland",
+    3: "North West England",
+    4: "North East England",
+    5: "Yorkshire",
+    6: "North Wales and Merseyside",
+    7: "South Wales",
+    8: "West Midlands",
+    9: "East Midlands",
+    10: "East England",
+    11: "South West England",
+    12: "South England",
+    13: "London",
+    14: "South East England",
+    15: "England",
+    16: "Scotland",
+    17: "Wales",
+}
+"""By the Carbon Intensity API's `regionid`."""
+NATION = ("gb", "great britain", "britain", "nation", "national", "uk")
+LEAST_LETTERS = 4
+"""Fewer may be a postcode."""
+
+
+def region_of(text: str) -> int | None:
+    """The region that is called so, or alone begins so."""
+    word = text.casefold()
+    exact = [number for number, name in REGIONS.items() if name.casefold() == word]
+    begun = [number for number, name in REGIONS.items() if name.casefold().startswith(word)]
+    found = exact or (begun if len(word) >= LEAST_LETTERS else [])
+    return found[0] if len(found) == 1 else None
+
+
+def listed() -> str:
+    """All of them, two beside each other."""
+    half = (len(REGIONS) + 1) // 2
+    names = [f"{number:>2} {name}" for number, name in REGIONS.items()]
+    return "\n".join(
+        f"  {one:<30}{other}".rstrip() for one, other in zip_longest(names[:half], names[half:], fillvalue="")
+    )
