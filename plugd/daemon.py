@@ -11,7 +11,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from types import FrameType
 
-from plugd import perception
+from plugd import __version__, perception
 from plugd.adapters.hub import MqttHub, Topics
 from plugd.adapters.mqtt import Broker, MqttConnection
 from plugd.adapters.neso import Neso
@@ -26,8 +26,9 @@ from plugd.config import Config, household
 from plugd.config.whole import MODULATING
 from plugd.controller import Controller
 from plugd.cycle import Cycle
-from plugd.domain import Capability, Decision, Forecast, Memory
+from plugd.domain import Capability, Forecast, Memory
 from plugd.errors import ConfigError, StoreError
+from plugd.journal import Journal
 from plugd.page import opened_page
 from plugd.planner.qp import Qp
 from plugd.ports import Clock, Plug, Tended
@@ -171,29 +172,6 @@ def kept_forecast(store: SqliteStore, config: Config) -> Forecast | None:
     return forecast if forecast is not None and forecast.region == source_for(config).region else None
 
 
-class Journal:
-    """Says in the log what has changed since the last step: why, what fails, what works again."""
-
-    def __init__(self) -> None:
-        self._reason = ""
-        self._faults: dict[str, str] = {}
-
-    def note(self, decision: Decision | None) -> None:
-        """Compare and say."""
-        if decision is None:
-            return
-        faults = {fault.code: fault.text for fault in decision.faults}
-        for code in faults.keys() - self._faults.keys():
-            log.warning("%s: %s", code, faults[code])
-        for code in self._faults.keys() - faults.keys():
-            log.info("%s: works again", code)
-        for answer in decision.answers:
-            log.info("command %s: %s", answer.command, answer.message)
-        if decision.reason != self._reason:
-            log.info("%s: %s", decision.status.value, decision.reason)
-        self._faults, self._reason = faults, decision.reason
-
-
 class Stop:
     """Whether a signal has asked the daemon to end."""
 
@@ -217,6 +195,15 @@ def _signals(stop: Stop, connection: MqttConnection) -> Iterator[None]:
             signal.signal(signum, handler)
 
 
+def _told(config: Config) -> str:
+    """What it runs for, on one line."""
+    plug, broker, home = config.plug, config.broker, config.home
+    where = config.can.channel if plug.kind == "can_elcon" else plug.topic
+    place = home.postcode or (f"region {home.region_id}" if home.region_id else "Great Britain")
+    at_broker = f"broker {broker.host}:{broker.port}"
+    return f"{config.name}, {plug.kind} at {where}, {at_broker}, forecast of {place}, state in {state_folder(config)}"
+
+
 def run(config: Config, clock: Clock) -> None:
     """Run until a signal. Raises ConfigError, AlreadyRunning, StoreError before anything is switched."""
     stop = Stop()
@@ -229,9 +216,9 @@ def run(config: Config, clock: Clock) -> None:
         left.callback(connection.close)
         left.enter_context(_signals(stop, connection))
         cycle = cycle_for(config, clock, connection, store)
+        log.info("plugd %s runs: %s", __version__, _told(config))
         connection.start()
         connection.wait_connected(BROKER_PATIENCE_S)
-        log.info("plugd runs for %s on %s:%s", config.name, config.broker.host, config.broker.port)
         hub = cycle.hub
         inbox = left.enter_context(opened_page(config, state_folder(config), cycle, connection))
         journal = Journal()
@@ -246,4 +233,5 @@ def run(config: Config, clock: Clock) -> None:
             cycle.plug.close()
             log.info("plugd ends; the charger is stopped, and stays so until plugd runs again")
         else:
-            log.info("plugd ends; the plug's own timer takes over")
+            cover = "comes on by its own timer" if cycle.plug.capability.dead_man else "stays off"
+            log.info("plugd ends; a plug that is off %s", cover)

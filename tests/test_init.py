@@ -20,6 +20,7 @@ from hypothesis import strategies as st
 
 from plugd.adapters.mqtt import Message
 from plugd.cli import main
+from plugd.cli.init import Terminal
 from plugd.config import Config, load, parse, password
 from plugd.errors import PlugdError, UsageError
 from plugd.first_run.answers import DEFAULTS, KINDS, Answers, nested
@@ -287,6 +288,35 @@ def test_folders_are_made_and_a_link_stays_one(init: Init, tmp_path: Path) -> No
     assert init(answered(), link).status == 0
     assert link.is_symlink()
     assert load(tmp_path / "deep" / "er" / "plugd.toml") == load(link)
+
+
+def test_at_a_terminal_it_ends_with_a_check_where_that_is_wanted(init: Init, monkeypatch: pytest.MonkeyPatch) -> None:
+    checked: list[Path] = []
+
+    class Sitting(Terminal):
+        """Somebody who is there, and takes the plug that is found."""
+
+        def __init__(self) -> None:
+            super().__init__()
+            self.present = True
+
+        def ask(self, prompt: str) -> str:
+            return self._line(prompt, shown=True)
+
+    monkeypatch.setattr("plugd.cli.init.Terminal", Sitting)
+    monkeypatch.setattr(
+        "plugd.first_run.looking.look", lambda _: Found(plugs=(("tasmota", "bad/#"), ("shelly2", "garage")))
+    )
+    monkeypatch.setattr("plugd.cli.check.told", lambda config, path, click: checked.append(path))
+    lines = answered().splitlines(keepends=True)
+    del lines[CALLED["topic"]]  # Enter to the list is the one plug that can be
+    for end, times in (("", 1), ("y\n", 2), ("n\n", 2)):
+        init.path.unlink(missing_ok=True)
+        run = init("".join(lines) + (end or "\n"))
+        assert (run.status, run.err) == (0, "")
+        assert load(init.path).plug.topic == "garage"
+        assert checked == [init.path] * times
+        assert run.out.splitlines()[-1].startswith(f"Next: `plugd -c {init.path} check --click`")
 
 
 # -- whatever is accepted loads -------------------------------------------------------------------

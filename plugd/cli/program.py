@@ -7,6 +7,7 @@ from contextlib import suppress
 
 from plugd import __version__
 from plugd.cli import apart, check, history, init, plan, plug, report, run
+from plugd.cli.log import begin
 from plugd.cli.parsing import DEFAULT_CONFIG, Commands, Parser
 from plugd.errors import AlreadyRunning, ConfigError, PlugdError, UsageError
 
@@ -47,11 +48,7 @@ def _commanded(given: Sequence[str]) -> int:
         whole.error(f"unrecognized arguments: {' '.join(rest)}")
     # Only the daemon's log is read by somebody; the other commands say all that matters themselves.
     level = logging.INFO if options.command == "run" else logging.ERROR
-    logging.basicConfig(
-        level=logging.DEBUG if options.verbose else level,
-        format="%(levelname)s %(name)s: %(message)s",
-    )
-    logging.getLogger("apscheduler").setLevel(logging.WARNING)
+    begin(level, options.verbose)
     code = options.does(options)
     return code
 

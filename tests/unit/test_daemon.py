@@ -10,8 +10,10 @@ import pytest
 
 from plugd import daemon
 from plugd.adapters.store import SqliteStore
+from plugd.cli.log import LogLine
 from plugd.config import parse
 from plugd.domain import Answer, Decision, Fault, Forecast, Intensity, Memory, Status
+from plugd.journal import Journal, is_news
 from plugd.soc import unknown
 
 NOW = datetime(2023, 1, 2, 22, tzinfo=UTC)
@@ -47,7 +49,7 @@ def test_one_that_cannot_be_read_does_not_stop_the_start(tmp_path: Path, caplog:
 
 def test_the_log_says_why_and_what_fails_and_each_only_once(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO, logger="plugd")
-    journal = daemon.Journal()
+    journal = Journal()
     silent = Fault("plug_silent", "plug ev-plug is silent")
     for decision in (
         None,
@@ -59,9 +61,59 @@ def test_the_log_says_why_and_what_fails_and_each_only_once(caplog: pytest.LogCa
     ):
         journal.note(decision)
     assert [(r.levelname, r.message) for r in caplog.records] == [
-        ("INFO", "waiting_to_start: Waiting until 03:00."),
+        ("INFO", "Waiting until 03:00."),
         ("WARNING", "plug_silent: plug ev-plug is silent"),
         ("INFO", "command mode: mode is now"),
         ("INFO", "plug_silent: works again"),
-        ("INFO", "waiting_to_start: Charging."),
+        ("INFO", "Charging."),
     ]
+
+
+@pytest.mark.parametrize(
+    ("reason", "news"),
+    [
+        ("Waiting until 03:00: 120 g/kWh then, among the cleanest of 4 nights.", False),
+        ("Waiting until 03:30: 88 g/kWh then, among the cleanest of 4 nights.", False),
+        ("Waiting until 02:01: 88 g/kWh then, among the cleanest of 4 nights.", False),
+        ("Waiting until 04:00: 120 g/kWh then, among the cleanest of 4 nights.", True),
+        ("Waiting until 23:30: 120 g/kWh then, among the cleanest of 4 nights.", True),
+        ("Charging until 03:00 at 120 g/kWh, among the cleanest of 4 nights.", True),
+        ("Waiting until 03:00: 120 g/kWh then, among the cleanest of 4 nights. 06:57: 41 %, 9 % short.", True),
+        ("Off.", True),
+    ],
+)
+def test_other_figures_alone_are_no_news_but_another_hour_is(reason: str, news: bool) -> None:
+    assert is_news(reason, "Waiting until 03:00: 131.5 g/kWh then, among the cleanest of 4 nights.") is news
+
+
+def test_midnight_is_not_a_day_away() -> None:
+    assert not is_news("Waiting until 00:20.", "Waiting until 23:50.")
+
+
+def test_figures_that_creep_are_said_once_they_have_moved_an_hour(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO, logger="plugd")
+    journal = Journal()
+    for minute in range(0, 130, 13):
+        journal.note(replace(DECISION, reason=f"Waiting until {2 + minute // 60:02}:{minute % 60:02}."))
+    assert [record.message for record in caplog.records] == [
+        "Waiting until 02:00.",
+        "Waiting until 03:05.",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("level", "name", "plain", "journal"),
+    [
+        (logging.INFO, "plugd.adapters.mqtt", "said", "<6>said"),
+        (logging.WARNING, "plugd", "WARNING: said", "<4>said"),
+        (logging.ERROR, "uvicorn", "ERROR: uvicorn: said", "<3>uvicorn: said"),
+        (logging.DEBUG, "plugd", "DEBUG: said", "<7>said"),
+    ],
+)
+def test_a_line_of_the_log(level: int, name: str, plain: str, journal: str) -> None:
+    record = logging.LogRecord(name, level, "", 0, "%s", ("said",), None)
+    day, clock, line = LogLine(journal=False, named=False).format(record).split(" ", 2)
+    assert datetime.fromisoformat(f"{day} {clock}").timestamp() == int(record.created)
+    assert line == plain
+    assert LogLine(journal=True, named=False).format(record) == journal
+    assert LogLine(journal=True, named=True).format(record) == f"{journal[:3]}{name}: said"
