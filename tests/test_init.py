@@ -443,7 +443,7 @@ def test_a_broker_is_looked_at_as_it_was_told(mosquitto: Mosquitto, monkeypatch:
     assert look(Draft({**there, "broker.username": "me", "broker.password_file": "/nowhere"}, "hunter2")) == Found(
         plugs=(("tasmota", "ev-plug"),)
     )
-    monkeypatch.setattr("plugd.first_run.looking.PATIENCE_S", 0.5)
+    monkeypatch.setattr("plugd.first_run.looking.AGAIN_S", 0.1)
     refused = look(Draft({**there, "broker.port": free_port()})).refusal
     assert refused is not None
     assert "refuses the connection" in refused

@@ -6,9 +6,13 @@ import os
 import sys
 from getpass import getpass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from plugd.cli.parsing import DEFAULT_CONFIG, Commands, config_path
 from plugd.errors import PlugdError
+
+if TYPE_CHECKING:
+    from plugd.first_run.interview import Draft, Found
 
 
 def add(commands: Commands) -> None:
@@ -54,7 +58,6 @@ class Terminal:
 def _init(options: argparse.Namespace) -> int:
     from plugd.config import load
     from plugd.first_run.interview import confirmed, interview
-    from plugd.first_run.looking import look
     from plugd.first_run.writing import writable, write
 
     path = Path(os.path.realpath(options.out or config_path(options)))  # a link stays, and its target is written
@@ -65,7 +68,7 @@ def _init(options: argparse.Namespace) -> int:
         if replace and not confirmed(person, f"{path} is there already. Replace it?", default=False):
             raise PlugdError(f"{path}: left as it is; name another file with --out")
         print(f"Some questions for {path}. Enter takes what stands in brackets; Ctrl-C ends it, and writes nothing.")
-        draft = interview(person, path.parent, _state_folder(path.parent), look)
+        draft = interview(person, path.parent, _state_folder(path.parent), _look)
         write(path, draft, replace)
         written = True
         load(path)
@@ -74,6 +77,12 @@ def _init(options: argparse.Namespace) -> int:
     except KeyboardInterrupt:
         print("" if written else "\nNothing was written.")
         raise
+
+
+def _look(draft: "Draft") -> "Found":
+    from plugd.first_run.looking import look  # only here: what it stands on takes a second to import
+
+    return look(draft)
 
 
 def _state_folder(folder: Path) -> str:

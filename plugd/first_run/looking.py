@@ -14,6 +14,8 @@ from plugd.first_run.interview import PASSWORD_FILE, Draft, Found
 
 PATIENCE_S = 5.0
 """A broker that is there answers in less."""
+AGAIN_S = 2.0
+"""One that knows only an older MQTT lets us in at the second attempt."""
 MOST_PLUGS = 20
 
 Sign = Callable[[list[str], str], str | None]
@@ -45,8 +47,9 @@ def look(draft: Draft) -> Found:
         kept = connection.subscribe(*((topics, Retained.REPLAYED) for _, topics, _ in SIGNS))
         connection.start()
         try:
-            if not connection.wait_connected(PATIENCE_S):
-                return Found(refusal=connection.refusal or "no answer")
+            connection.bell.hold(lambda: connection.connected or connection.refusal is not None, PATIENCE_S)
+            if not connection.wait_connected(AGAIN_S):
+                return Found(refusal=connection.refusal or f"{connection.broker} does not answer")
             connection.flush()
             return Found(plugs=plugs_in(kept.take()))
         finally:
