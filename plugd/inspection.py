@@ -1,6 +1,7 @@
 """What a person asks beside the daemon: does it all work, what would be planned now, switch the plug by hand."""
 
 import os
+import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -30,6 +31,9 @@ NO_COVER = (
     "no timer of its own: switched off, it stays off if plugd or the broker dies, and the car is not charged; "
     "docs/hardware.md names plugs that switch on by themselves"
 )
+NO_PLUG = "; is it on, and at this broker, and are plug.kind and plug.topic right?"
+LEAST_FREE_MB = 50
+"""With less than that a database soon cannot be written."""
 OLDEST = datetime(2026, 1, 1, tzinfo=UTC)
 """A clock before it was never set."""
 
@@ -174,8 +178,10 @@ def _readable(folder: Path) -> Path | None:
     """The folder, None where there is none yet. Raises StoreError for one that this user may not look into."""
     if not os.access(folder, os.F_OK):
         return None
-    if not folder.is_dir() or not os.access(folder, os.R_OK | os.X_OK):
-        raise StoreError(f"{folder}: this user may not look into it, or it is no folder; run as plugd's user, or sudo")
+    if not folder.is_dir():
+        raise StoreError(f"{folder}: is no folder; move it away, or set state.dir")
+    if not os.access(folder, os.R_OK | os.X_OK):
+        raise StoreError(f"{folder}: this user may not look into it; run as plugd's user, or sudo")
     return folder
 
 
@@ -196,7 +202,10 @@ def _broker(config: Config, click: bool) -> str:
 
 def _plug(config: Config, click: bool) -> str:
     with _connected(config) as (connection, plug, clock, others):
-        told = _told(plug.read())
+        try:
+            told = _told(plug.read())
+        except PlugTimeout as error:
+            raise PlugTimeout(f"{error}{'' if isinstance(plug, Tended) else NO_PLUG}") from error
         if click:
             told = _clicked(plug, clock, connection, _daemon_runs(others))
         cover = "" if plug.capability.dead_man else f"; {NO_COVER}"
@@ -229,11 +238,21 @@ def _disk(config: Config, click: bool) -> str:
     if _readable(folder) is not None:
         with SqliteStore(folder, hold=False) as store:
             store.load()
-        return f"{folder} can be read"
+        if not os.access(folder, os.W_OK):
+            raise StoreError(f"{folder}: this user may not write there; run as plugd's user, or chown it")
+        return f"{folder}, {_free_mb(folder)} MB free"
     parent = next((p for p in folder.parents if p.is_dir()), folder)
     if not os.access(parent, os.W_OK):
         raise PlugdError(f"{folder} is not there and cannot be made; mkdir it for plugd's user, or set state.dir")
-    return f"{folder} will be made at the first start"
+    return f"{folder} will be made at the first start, {_free_mb(parent)} MB free"
+
+
+def _free_mb(folder: Path) -> int:
+    """Room beside the state. Raises StoreError where it is too little."""
+    free_mb = shutil.disk_usage(folder).free // 2**20
+    if free_mb < LEAST_FREE_MB:
+        raise StoreError(f"{folder}: only {free_mb} MB free; make room, or nothing can be remembered")
+    return free_mb
 
 
 CHECKS: tuple[tuple[str, Callable[[Config, bool], str]], ...] = (

@@ -390,11 +390,16 @@ def test_check_says_what_to_mend(plugd: Shell, bench: Bench, monkeypatch: pytest
     assert "is it running, and is [broker] right?" in found["broker"][1]
     assert found["plug"][1] == "cannot be asked without the broker; mend that first"
     assert "check forecast.base_url" in found["forecast"][1]
-    assert f"{bench.folder}/state" in found["disk"][1]
+    assert found["disk"][1] == f"{bench.folder}/state: is no folder; move it away, or set state.dir"
     (bench.folder / "state").unlink()
     found = findings(plugd("-c", bench.config(topic="toaster"), "check"))
     assert [what for what, (ok, _) in found.items() if not ok] == ["plug"]
     assert "toaster" in found["plug"][1]
+    assert "are plug.kind and plug.topic right?" in found["plug"][1]
+    monkeypatch.setattr("plugd.inspection.LEAST_FREE_MB", 2**50)
+    found = findings(plugd("-c", bench.config(), "check"))
+    assert [what for what, (ok, _) in found.items() if not ok] == ["disk"]
+    assert "make room" in found["disk"][1]
 
 
 def test_check_says_where_the_plug_would_be_cut_for_its_current(plugd: Shell, bench: Bench) -> None:
