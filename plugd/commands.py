@@ -38,19 +38,29 @@ def _mode(command: SetMode, memory: Memory, household: Household, now: datetime)
     """A person's word also ends whatever a press at the plug asked for.
 
     After an electrical cut only "off" is obeyed: whoever says it has seen that the plug is off, and ends the cut.
+    With the battery at its ceiling "now" would be over at once: it is "smart", and the answer says why.
     """
     cut = memory.flow.cut
     if cut is not None and command.mode is not Mode.OFF:
         return memory, Answer("mode", False, f"the plug was cut: {flow.cut_text(cut, household)}")
-    said = f"mode is {command.mode}" + ("" if cut is None else ", and the cut is over")
+    full = command.mode is Mode.NOW and memory.soc.mean >= household.car.soc_max
+    mode = Mode.SMART if full else command.mode
+    why = _full(memory, household) if full else "" if cut is None else ", and the cut is over"
     memory = replace(
         memory,
         flow=replace(memory.flow, cut=None),
-        overrides=replace(memory.overrides, mode=command.mode),
+        overrides=replace(memory.overrides, mode=mode),
         press=None,
         guarding=memory.guarding and command.mode is not Mode.OFF,
     )
-    return memory, Answer("mode", True, said)
+    return memory, Answer("mode", True, f"mode is {mode}{why}")
+
+
+def _full(memory: Memory, household: Household) -> str:
+    return (
+        f": the battery is at {to_pct(memory.soc.mean, 0):g} %, and now ends at soc_max "
+        f"{to_pct(household.car.soc_max):g} %; say how full it is if that is wrong, or set a trip for more"
+    )
 
 
 def _soc(command: SetSoc, memory: Memory, household: Household, now: datetime) -> Outcome:

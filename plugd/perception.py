@@ -102,13 +102,15 @@ def _observed_kw(reading: Reading, memory: Memory, household: Household) -> floa
 
 
 def _run_out(now: datetime, memory: Memory, household: Household) -> Memory:
-    """End what ends by itself: a boost at the battery's limit, a press at the session's end, a trip with its day."""
+    """End what ends by itself: a person's on at the battery's limit, a press at the session's end too, a trip with
+    its day."""
     if any(trip.day < sessions.today(now, household) for trip in memory.overrides.trips):
         trips = tuple(trip for trip in memory.overrides.trips if trip.day >= sessions.today(now, household))
         memory = replace(memory, overrides=replace(memory.overrides, trips=trips))
     memory = replace(memory, soc=soc.aged(memory.soc, now, household.car))
-    if memory.overrides.mode is Mode.NOW and memory.soc.mean >= household.car.soc_max:
+    press, full = memory.press, memory.soc.mean >= household.car.soc_max
+    if memory.overrides.mode is Mode.NOW and full:
         memory = replace(memory, overrides=replace(memory.overrides, mode=Mode.SMART))
-    if memory.press is not None and memory.press.until is not None and now >= memory.press.until:
+    if press is not None and ((press.on and full) or (press.until is not None and now >= press.until)):
         memory = replace(memory, press=None)
     return memory

@@ -44,10 +44,10 @@ def _cut(cut: Cut, household: Household) -> str:
 
 
 def _asked(memory: Memory, household: Household) -> str:
-    if memory.press is None:
-        return f"Charging now because you asked, up to {_percent(household.car.soc_max)} or until you say otherwise."
-    until = f"until {_clock(memory.press.until, household)} or " if memory.press.until else ""
-    return f"Charging now because you switched it on at the plug, {until}until you say otherwise."
+    press, most = memory.press, f"up to {_percent(household.car.soc_max)}"
+    how = "you asked" if press is None else "you switched it on at the plug"
+    until = f", until {_clock(press.until, household)}" if press is not None and press.until else ""
+    return f"Charging now because {how}, {most}{until} or until you say otherwise."
 
 
 def _guarded(action: Action, household: Household) -> str:

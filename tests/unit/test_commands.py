@@ -9,6 +9,7 @@ import pytest
 from plugd import commands
 from plugd.adapters.store import SqliteStore
 from plugd.domain import (
+    Answer,
     ClearTrip,
     Command,
     DayRule,
@@ -147,6 +148,18 @@ def test_a_persons_word_ends_what_the_button_asked_for(mode: Mode, on: bool) -> 
     pressed = meaning(Mode.SMART, HERE, Press(on, None))
     memory = told(pressed, SetMode(mode))
     assert (memory.press, memory.overrides.mode) == (None, mode)
+
+
+@pytest.mark.parametrize("mode", list(Mode))
+def test_now_with_a_battery_at_its_ceiling_is_smart_and_says_why(mode: Mode) -> None:
+    full = replace(meaning(mode, press=Press(False, None)), soc=knows(0.83).soc)
+    memory, (answer,) = commands.apply((SetMode(Mode.NOW),), full, HOME, NIGHT)
+    assert (memory.overrides.mode, memory.press) == (Mode.SMART, None)
+    assert answer == Answer(
+        "mode", True,
+        "mode is smart: the battery is at 83 %, and now ends at soc_max 80 %; "
+        "say how full it is if that is wrong, or set a trip for more",
+    )  # fmt: skip
 
 
 def test_now_and_a_press_on_are_over_when_the_car_is_unplugged() -> None:

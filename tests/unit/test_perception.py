@@ -185,6 +185,16 @@ def test_now_lasts_until_soc_max() -> None:
     assert full.overrides.mode is Mode.SMART
 
 
+def test_a_press_on_lasts_until_soc_max_as_now_does() -> None:
+    begun = seen(knows(0.79), reading(energy_kwh=5.0, moved=True))
+    assert begun.press is not None
+    assert seen(begun, reading(energy_kwh=5.6, now=NIGHT + minutes(20))).press is None
+
+
+def test_a_press_on_at_soc_max_is_over_at_once() -> None:
+    assert seen(knows(0.8), reading(moved=True)).press is None
+
+
 def test_off_does_not_end_with_a_full_battery() -> None:
     memory = replace(knows(0.9), overrides=Overrides(mode=Mode.OFF), press=Press(False, None))
     assert perceive(NIGHT, None, memory, HOME) == memory
