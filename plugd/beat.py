@@ -79,6 +79,13 @@ def _moved(told: Wanted, wanted: Wanted) -> bool:
     return told.on_by is None or wanted.on_by is None or abs(told.on_by - wanted.on_by) > TIMER_SLACK
 
 
+def is_off_again(told: Wanted | None, wanted: Wanted) -> bool:
+    """Whether both are the same kind of off: by when its timer has to be over does not matter here."""
+    if told is None or is_on(told) or is_on(wanted):
+        return False
+    return not (isinstance(told, Relay) and isinstance(wanted, Relay)) or told.held is wanted.held
+
+
 def cautious_soc(moment: datetime, memory: Memory, household: Household) -> float:
     """The SOC that promises are made on, as it will be at a moment: what is driven until then taken off."""
     coming = sessions.drives(household, memory.overrides, memory.presence, memory.soc.driven_to, moment)

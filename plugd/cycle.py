@@ -5,8 +5,8 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from typing import TypeVar
 
-from plugd import commands
-from plugd.beat import Action, is_on, is_same
+from plugd import commands, flow
+from plugd.beat import Action, is_off_again, is_on, is_same
 from plugd.beat import Cause as By
 from plugd.book import Book
 from plugd.controller import Controller
@@ -24,7 +24,7 @@ from plugd.domain import (
     Setpoint,
     Wanted,
 )
-from plugd.errors import ForecastError, PlugError, StoreError
+from plugd.errors import ForecastError, PlugError, PlugRefused, StoreError
 from plugd.ports import Clock, ForecastSource, Hub, Inbox, Plug, Store, Tended
 from plugd.units import next_slot, slot_start
 
@@ -32,6 +32,8 @@ HISTORY = timedelta(days=56)
 LOOK_S = 10.0
 FETCH_RETRY_S = (60.0, 120.0, 240.0, 480.0, 960.0, 1800.0)
 PLUG_RETRY_S = (5.0, 15.0, 60.0)
+MOST_OFFS = 3
+"""A relay that stays on is told off so often, and then left alone: moving it more would only wear it."""
 Kept = TypeVar("Kept")
 
 
@@ -87,6 +89,8 @@ class Cycle:
     planned_at: datetime | None = None
     fetch: Retry = field(default_factory=lambda: Retry(FETCH_RETRY_S))
     switch: Retry = field(default_factory=lambda: Retry(PLUG_RETRY_S))
+    offs: int = 0
+    """How often the relay was told off in a row, and stayed on."""
 
     def step(self) -> datetime:
         """Look, decide and act once. Returns when to be called again at the latest."""
@@ -219,7 +223,8 @@ class Cycle:
         """Tell the plug where it is not as wanted. Returns whether the relay was moved."""
         wanted = action.wanted
         same = self.told is not None and is_same(self.told, wanted)
-        as_wanted = reading is not None and reading.on is is_on(wanted)
+        stays_on = self._stays_on(reading, wanted)
+        as_wanted = reading is not None and reading.on is is_on(wanted) and not stays_on
         # An "on" that is already on needs no word; an "off" has to be taken once, to arm or disarm its timer.
         if as_wanted and (wanted == Relay(True) or (same and self.switch.failures == 0)):
             obeyed = same and self.switch.failures > 0 and not was_on  # without an answer, as is seen only now
@@ -229,7 +234,12 @@ class Cycle:
             if obeyed:
                 self._count(now, action)
             return obeyed
-        if same and not self.switch.due(now):
+        again = stays_on and is_off_again(self.told, wanted)
+        if (same or again) and not self.switch.due(now):
+            return False
+        if not again:
+            self.offs = MOST_OFFS - 1 if ("relay_stuck", "") in self.faults else 0  # known to be stuck: one more try
+        if self.offs >= MOST_OFFS and self._gives_up(reading, wanted):
             return False
         self.told = wanted
         try:
@@ -237,10 +247,36 @@ class Cycle:
         except PlugError as error:
             self.switch.failed(now)
             self._fault("plug_refuses", str(error))
+            self.offs += int(stays_on and isinstance(error, PlugRefused))  # else it may not have heard
+            if self.offs >= MOST_OFFS:
+                self._gives_up(reading, wanted)
             return False
         self.switch.succeeded()
         self._clear("plug_refuses")
+        self.offs += int(stays_on)
+        if self.offs > 1:
+            self.switch.failed(now)
         return self._remember(now, action)
+
+    def _stays_on(self, reading: Reading | None, wanted: Wanted) -> bool:
+        """Whether power may flow, or does, though it should not; that it no longer does ends the fault."""
+        if reading is None:
+            return False
+        leak, unmetered = self.memory.flow.leak, reading.power_kw is None and reading.energy_kwh is not None
+        if not (reading.on or leak or unmetered):
+            self.offs = 0
+            self._clear("relay_stuck")
+        return not is_on(wanted) and (reading.on or flow.leaks(leak))
+
+    def _gives_up(self, reading: Reading | None, wanted: Wanted) -> bool:
+        """Says that the relay is stuck. Whether to say no more to it: a charger wants its word all the same."""
+        leak = self.memory.flow.leak
+        text = f"the plug stays on though it was told off {MOST_OFFS} times"
+        if leak is not None and reading is not None and not reading.on:
+            text = f"{leak.power_kw:.1f} kW flows though the relay was told off {MOST_OFFS} times and says that it is"
+        self._fault("relay_stuck", text)
+        self._clear("plug_refuses")
+        return isinstance(wanted, Relay)
 
     def _remember(self, now: datetime, action: Action) -> bool:
         """Whether the relay has moved; if so, for the dwell times and the switch budget."""

@@ -499,6 +499,18 @@ class Cut:
 
 
 @dataclass(frozen=True, slots=True)
+class Leak:
+    """Power that flows through a relay that says it is off. One word of the meter makes none: `sure` does."""
+
+    since: datetime
+    metered_at: datetime | None
+    energy_kwh: float | None
+    """The meter's total as it began."""
+    power_kw: float
+    sure: bool = False
+
+
+@dataclass(frozen=True, slots=True)
 class Flow:
     """What was seen to flow at a plain plug, beside what should."""
 
@@ -518,6 +530,7 @@ class Flow:
     wake_until: datetime | None = None
     """The relay is off to wake the car, until then."""
     wakes: int = 0
+    leak: Leak | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""What flows at a plain plug, beside what should: too much is cut, nothing at all is told, a sleeping car woken.
+"""What flows at a plain plug, beside what should: too much is cut, a sleeping car woken, a stuck relay noticed.
 
 A modulating charger is told how much it may take, and is not watched here. Pure.
 """
@@ -7,14 +7,16 @@ from dataclasses import replace
 from datetime import date, datetime, timedelta
 from zoneinfo import ZoneInfo
 
-from plugd.domain import Cut, Fault, Flow, Household, Memory, Reading, Session
+from plugd.domain import Cut, Fault, Flow, Household, Leak, Memory, Reading, Session
 from plugd.soc import FLOWING_KW
 from plugd.units import amps_of
 
 OVER = timedelta(seconds=60)
 """So long may more flow than the socket bears: a car that starts, a meter that settles."""
 LOOK = timedelta(seconds=10)
-"""While too much flows, the meter is looked at this often."""
+"""While too much flows, or something through an open relay, the meter is looked at this often."""
+LEAKS = timedelta(seconds=30)
+"""So long after its relay opened may a plug still tell of power: it measures now and then."""
 IDLE = timedelta(seconds=120)
 """A car that is awake takes power by then."""
 STOPPED = timedelta(hours=12)
@@ -34,7 +36,8 @@ def seen(now: datetime, reading: Reading, memory: Memory, household: Household) 
     """Memory after a look at what flows."""
     if household.capability.modulating:
         return memory
-    return replace(memory, flow=_idle(now, reading, _over(now, reading, memory.flow, household)))
+    found = replace(_over(now, reading, memory.flow, household), leak=_leak(now, reading, memory.flow.leak))
+    return replace(memory, flow=_idle(now, reading, found))
 
 
 def _over(now: datetime, reading: Reading, flow: Flow, household: Household) -> Flow:
@@ -50,6 +53,26 @@ def _over(now: datetime, reading: Reading, flow: Flow, household: Household) -> 
     if now - flow.over_since < OVER or not told_twice:
         return flow
     return replace(flow, over_since=None, over_metered_at=None, cut=Cut(now, flowing_a, limit_a))
+
+
+def _leak(now: datetime, reading: Reading, leak: Leak | None) -> Leak | None:
+    """Power through a relay that says off. The meter's total, where there is one, must rise too."""
+    if reading.on or reading.power_kw is None:
+        return None if reading.on else leak
+    if reading.power_kw < FLOWING_KW:
+        return None
+    if leak is None or leak.since > now:  # the clock may have been set back
+        return Leak(now, reading.metered_at, reading.energy_kwh, reading.power_kw)
+    told_twice = reading.metered_at is None or reading.metered_at != leak.metered_at
+    totals = leak.energy_kwh is not None and reading.energy_kwh is not None
+    rises = not totals or reading.energy_kwh != leak.energy_kwh
+    sure = leak.sure or (now - leak.since >= LEAKS and told_twice and rises)
+    return replace(leak, power_kw=reading.power_kw, sure=sure)
+
+
+def leaks(leak: Leak | None) -> bool:
+    """Whether power flows for certain through a relay that says off."""
+    return leak is not None and leak.sure
 
 
 def _idle(now: datetime, reading: Reading, flow: Flow) -> Flow:
@@ -116,7 +139,7 @@ def _patience(household: Household) -> timedelta:
 
 def next_look(now: datetime, flow: Flow, household: Household) -> datetime | None:
     """When to look again for what flows, None where nothing is in question."""
-    if flow.over_since is not None:
+    if flow.over_since is not None or (flow.leak is not None and not flow.leak.sure):
         return now + LOOK
     if flow.idle_since is None:
         return None

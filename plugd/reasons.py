@@ -12,8 +12,10 @@ PLANNED_KWH = 0.05
 """Less than this in a session is nothing planned."""
 SHORT = 0.005
 """A morning minimum missed by less is not spoken of: it would be "0 % short"."""
-UNCONTROLLED = ("plug_silent", "plug_refuses")
+UNREACHED = ("plug_silent", "plug_refuses")
 """With one of these faults nothing of what is wanted may be happening."""
+UNCONTROLLED = (*UNREACHED, "relay_stuck")
+"""With one of these something else may be happening than what is wanted."""
 
 
 def _percent(fraction: float) -> str:
@@ -105,8 +107,8 @@ def at_risk(now: datetime, memory: Memory, household: Household, faults: tuple[F
     if tonight is None:
         return None
     lacking = soc.cautious(memory.soc) < tonight.session.minimum
-    uncontrolled = any(fault.code in UNCONTROLLED for fault in faults)
-    return bool(_shortfall(tonight, household)) or (lacking and uncontrolled)
+    unreached = any(fault.code in UNREACHED for fault in faults)
+    return bool(_shortfall(tonight, household)) or (lacking and unreached)
 
 
 def _starts(now: datetime, tonight: SessionPlan, memory: Memory) -> datetime | None:
