@@ -20,7 +20,7 @@ LOCK := $(VENV)-lock/bin/uv pip compile --quiet --universal --python-version 3.1
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 export PIP_ROOT_USER_ACTION = ignore
 
-.PHONY: help demo test hub-test weeks study plugs deadman fuzz can-week can-fuzz scenarios natural check bench lock clean
+.PHONY: help demo test hub-test pictures weeks study plugs deadman fuzz can-week can-fuzz scenarios natural check bench lock clean
 .DELETE_ON_ERROR:
 
 help: ## what can be made
@@ -40,6 +40,9 @@ hub-test: $(READY) $(HASS) ## against a real Home Assistant, and Node-RED where 
 .venv-hass/bin/hass:
 	$(HASS_PYTHON) -m venv --clear .venv-hass
 	.venv-hass/bin/python -m pip install --quiet homeassistant
+
+pictures: $(READY) ## the pictures of the page in docs/, anew, from a simulated fortnight
+	$(VENV)/bin/python -m tests.web.pictures $(ARGS)
 
 weeks: $(READY) ## the README's four weeks on measured intensity ($PLUGD_DATA), and that they hold
 	$(VENV)/bin/python tests/four_weeks.py

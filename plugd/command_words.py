@@ -202,7 +202,10 @@ def _day(said: object) -> date:
 
 def _trip(text: str) -> Command:
     said = _keys(read_json(text, MAX_NESTING), ("date", "minimum_pct", "ready_by", "away", "clear"), "a trip")
-    day, clear = _day(said.get("date")), said.get("clear")
+    clear = said.get("clear")
+    if clear is True and len(said) == 1:
+        return ClearTrip(None)
+    day = _day(said.get("date"))
     if clear is not None and not isinstance(clear, bool):
         raise Refused(f"clear {_quote(clear)} is neither true nor false")
     if clear:

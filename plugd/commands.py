@@ -164,9 +164,9 @@ def _trip(command: SetTrip, memory: Memory, household: Household, now: datetime)
 
 
 def _clear_trip(command: ClearTrip, memory: Memory, household: Household, now: datetime) -> Outcome:
-    trips = tuple(t for t in memory.overrides.trips if t.day != command.day)
+    trips = tuple(t for t in memory.overrides.trips if command.day not in (None, t.day))
     memory = replace(memory, overrides=replace(memory.overrides, trips=trips))
-    return memory, Answer("trip", True, f"{command.day}: as any other day")
+    return memory, Answer("trip", True, f"{command.day}: as any other day" if command.day else "no trips are set")
 
 
 def _horizon(command: SetHorizon, memory: Memory, household: Household, now: datetime) -> Outcome:

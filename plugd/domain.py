@@ -239,9 +239,9 @@ class SetTrip:
 
 @dataclass(frozen=True, slots=True)
 class ClearTrip:
-    """That morning is as any other again."""
+    """That morning is as any other again; None: every morning that a trip was set for."""
 
-    day: date
+    day: date | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -279,7 +279,7 @@ class Answer:
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """Something that does not work: a stable code for programs, a sentence with the remedy for people."""
+    """Something that does not work: a stable code for programs, a sentence for people. What to do: `remedies`."""
 
     code: str
     text: str

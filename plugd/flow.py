@@ -156,12 +156,15 @@ def _clock(moment: datetime, household: Household) -> str:
     return f"{moment.astimezone(ZoneInfo(household.timezone)):%H:%M}"
 
 
+def _cut_seen(cut: Cut, household: Household) -> str:
+    flowed = f"{cut.current_a:.1f} A flowed at {_clock(cut.at, household)}"
+    return f"{flowed}, more than plug.max_current_a = {cut.limit_a:g}"
+
+
 def cut_text(cut: Cut, household: Household) -> str:
     """Why it was cut, and what to do."""
-    return (
-        f"{cut.current_a:.1f} A flowed at {_clock(cut.at, household)}, more than plug.max_current_a = {cut.limit_a:g}; "
-        "look at plug, socket and cable, then set the mode to off, and to smart again"
-    )
+    remedy = "look at plug, socket and cable, then set the mode to off, and to smart again"
+    return f"{_cut_seen(cut, household)}; {remedy}"
 
 
 def idle_text(memory: Memory, household: Household) -> str:
@@ -171,10 +174,7 @@ def idle_text(memory: Memory, household: Household) -> str:
     if memory.presence.connected:
         tried = ", and switching off and on has not woken it" if memory.flow.woken_for is not None else ""
         how = "has stopped taking power" if memory.flow.flowed else "takes nothing"
-        return (
-            f"the car is plugged in and {how} {when} though the relay is on{tried}; "
-            "look at its charge limit, its timer and the cable"
-        )
+        return f"the car is plugged in and {how} {when} though the relay is on{tried}"
     if memory.flow.flowed:
         return f"the car has taken nothing {when}: it is at a limit of its own, or unplugged"
     return f"no car, or the car does not charge: nothing has flowed {when} though the relay is on"
@@ -184,7 +184,7 @@ def faults(now: datetime, memory: Memory, household: Household) -> tuple[Fault, 
     """What a person should look at."""
     found = []
     if memory.flow.cut is not None:
-        found.append(Fault("overcurrent", cut_text(memory.flow.cut, household)))
+        found.append(Fault("overcurrent", _cut_seen(memory.flow.cut, household)))
     if memory.presence.connected and is_idle(now, memory, household):
         found.append(Fault("no_current", idle_text(memory, household)))
     return tuple(found)

@@ -3,6 +3,7 @@
 import logging
 import re
 
+from plugd import remedies
 from plugd.domain import Decision, Fault
 
 log = logging.getLogger("plugd")
@@ -36,7 +37,7 @@ class Journal:
         self._reason = decision.reason
 
     def _fault(self, found: tuple[Fault, ...]) -> None:
-        faults = {fault.code: fault.text for fault in found}
+        faults = {fault.code: f"{fault.text}. {remedies.remedy(fault)}" for fault in found}
         for code in sorted(faults.keys() - self._faults.keys()):
             log.warning("%s: %s", code, faults[code])
         for code in sorted(self._faults.keys() - faults.keys()):

@@ -195,6 +195,7 @@ def explain(
     broken = next((fault.text for fault in faults if fault.code in UNCONTROLLED), None)
     if action.on and flow.is_idle(now, memory, household):
         found = flow.idle_text(memory, household)
+        found += "; look at its charge limit, its timer and the cable" if memory.presence.connected else ""
         status = Status.FAULT if memory.presence.connected else status
         reason = f"{found[0].upper()}{found[1:]}. {reason}"
     if broken is None:

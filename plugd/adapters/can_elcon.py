@@ -93,16 +93,16 @@ class CanElcon:
         bits = self._charger.bits
         yield from (Fault(*STOPPED_BY[bit]) for bit in bits if bit in STOPPED_BY)
         if BATTERY in bits and self._power_kw() > 0.0:
-            yield Fault("charger_battery", "the charger finds no battery, or a reversed one: is the car plugged in?")
+            yield Fault("charger_battery", "the charger finds no battery, or a reversed one")
         if self._charger.cut:
             text = "the charger gave more than the battery's limits, and is stopped until plugd is restarted"
-            yield Fault("charger_over", f"{text}: look at [can] max_voltage_v and max_current_a, and at the charger")
+            yield Fault("charger_over", text)
         if self._link.trouble:
             yield Fault("can_bus", self._link.trouble)
         if self._link.babbling:
-            yield Fault("can_babble", "more frames on the CAN bus than can be read: something on it babbles")
+            yield Fault("can_babble", "more frames on the CAN bus than can be read")
         if self._clock.monotonic() - self._other_s < OTHER_S:
-            yield Fault("charger_two_masters", "something else on the CAN bus tells the charger what to do: stop it")
+            yield Fault("charger_two_masters", "something else on the CAN bus tells the charger what to do")
 
     @property
     def nonsense(self) -> int:

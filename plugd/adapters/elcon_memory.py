@@ -11,11 +11,11 @@ PATIENCE = 5
 IDLE_A = 0.3
 """Less is no current."""
 STOPPED_BY = {
-    HARDWARE: ("charger_hardware", "the charger reports a failure of its hardware: have it looked at"),
-    HEAT: ("charger_hot", "the charger is too hot: give it air; it goes on by itself when it has cooled"),
-    MAINS: ("charger_mains", "the charger finds its mains voltage wrong: look at its supply"),
+    HARDWARE: ("charger_hardware", "the charger reports a failure of its hardware"),
+    HEAT: ("charger_hot", "the charger is too hot"),
+    MAINS: ("charger_mains", "the charger finds its mains voltage wrong"),
 }
-"""Bits with which it gives nothing whatever it is told: a fault's code, and what to do."""
+"""Bits with which it gives nothing whatever it is told: a fault's code, and its text."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,7 +24,7 @@ Component = dict[str, Any]
 
 FAULTS = (
     "{% set ns = namespace(found={}) %}{% for f in value_json.faults %}"
-    "{% set ns.found = dict(ns.found, **{f.code: f.text}) %}{% endfor %}{{ ns.found | tojson }}"
+    "{% set ns.found = dict(ns.found, **{f.code: f.text ~ '. ' ~ f.remedy}) %}{% endfor %}{{ ns.found | tojson }}"
 )
 TRIPS = "{{ {'trips': value_json.settings.trips, 'week': value_json.settings.week} | tojson }}"
 OUTLOOK = (
@@ -157,6 +157,14 @@ def _controls(household: Household) -> dict[str, Component]:
             "entity_category": "config",
             "command_topic": "replan/set",
             "payload_press": "PRESS",
+        },
+        "clear_trips": {
+            "platform": "button",
+            "name": "Clear trips",
+            "icon": "mdi:calendar-remove",
+            "entity_category": "config",
+            "command_topic": "trip/set",
+            "payload_press": '{"clear": true}',
         },
         "connected": {
             "platform": "switch",

@@ -7,7 +7,7 @@ from datetime import datetime, timedelta
 from typing import Any
 from zoneinfo import ZoneInfo
 
-from plugd import __version__, reasons, sessions, soc
+from plugd import __version__, reasons, remedies, sessions, soc
 from plugd.adapters import homeassistant
 from plugd.adapters.mqtt import Message, MqttConnection, Retained
 from plugd.command_words import MAX_BYTES, WEEKDAYS, NoSuchKey, NotKnown, Refused, car_soc, parse
@@ -107,7 +107,7 @@ class MqttHub:
                 if isinstance(refusal, NotKnown) and (self._car_heard or not isinstance(refusal, NoSuchKey)):
                     continue
                 self.refused += 1
-                wrong = wrong or Fault("car_soc", f"{self._topics.soc_topic}: {refusal}; see [car] soc_topic")
+                wrong = wrong or Fault("car_soc", f"{self._topics.soc_topic}: {refusal}")
                 continue
             self._car_unheard, self._car_heard = None, True
             return [SetSoc(said, source="car")]
@@ -285,7 +285,7 @@ def state(decision: Decision, reading: Reading | None, household: Household) -> 
         "switch_ons_today": len(today),
         "forecast_age_min": _forecast_age_min(decision, decision.forecast_issued_at),
         "forecast_until": iso(outlook.forecast_until) if outlook and outlook.forecast_until else None,
-        "faults": [{"code": f.code, "text": f.text} for f in decision.faults],
+        "faults": [{"code": f.code, "text": f.text, "remedy": remedies.remedy(f)} for f in decision.faults],
         "guard_count": memory.guard_count,
         "version": __version__,
     }

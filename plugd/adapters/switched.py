@@ -138,12 +138,12 @@ class SwitchedPlug:
         if self._plug.errors:
             found.append(Fault("plug_protects", f"{self._line.name} {self._protection()}"))
         if not self._dialect.meter or self._line.meterless:
-            text = f"{self._line.name} tells no energy, so plugd cannot count what the car takes"
-            found.append(Fault("plug_meter", f"{text}; take one with a meter, or tell the state of charge"))
+            text = f"{self._line.name} tells no energy, so what the car takes cannot be counted"
+            found.append(Fault("plug_meter", text))
         off = self._wanted is not None and not self._wanted.on and not self._plug.held
         if self._dialect.dead_man and off and self._plug.on is False and self._plug.timer is False:
             text = f"{self._line.name} does not keep the timer of an off; it stays off when plugd stops"
-            found.append(Fault("plug_dead_man", f"{text}; update its firmware"))
+            found.append(Fault("plug_dead_man", text))
         return tuple(found)
 
     @property
@@ -182,4 +182,4 @@ class SwitchedPlug:
 
     def _protection(self) -> str:
         why = ", ".join(self._plug.errors) or "overload"
-        return f"has switched itself off ({why}): look at plug, socket and cable"
+        return f"has switched itself off ({why})"

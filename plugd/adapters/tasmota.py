@@ -116,7 +116,7 @@ class Tasmota:
         command = f"cmnd/{self._topic}/POWER"
         if self._ghost:
             text = f"a retained {command} switches the plug at every reconnect"
-            found.append(Fault("plug_retained_command", f"{text}; mosquitto_pub -rnt {command} clears it"))
+            found.append(Fault("plug_retained_command", text))
         if self._arm_tries > TRIES:
             settings = f"PowerOnState {INVERTED_PULSE} and PulseTime {self._target()}"
             text = f"{self._line.name} does not keep {settings}; without them it stays off when plugd stops"

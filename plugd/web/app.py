@@ -26,7 +26,7 @@ from plugd.units import to_pct
 from plugd.web import metrics
 from plugd.web.desk import Desk, Snapshot, State
 from plugd.web.gate import TOKEN_HEADER, Gate, same
-from plugd.web.view import live
+from plugd.web.view import live, values
 
 PATIENCE_S = 10.0
 """How long a command may wait for the cycle, and a body for its sender."""
@@ -35,6 +35,9 @@ STALE_S = 120.0
 SCORED_AGAIN = timedelta(hours=6)
 PARTS = ("tiles", "faults", "drawing", "trips", "nights", "scores")
 MODES = (("smart", "Smart"), ("now", "Now"), ("off", "Off"))
+PLUGGED = (("ON", "Plugged in"), ("OFF", "Not plugged in"))
+PRESSED = {True: "ON", False: "OFF", None: ""}
+"""Which of them is pressed; neither where nobody has said."""
 
 
 STATIC = files("plugd.web").joinpath("static")
@@ -92,7 +95,13 @@ class Page:
             return self._html("wait.html", {})
         snapshot, state, view = seen
         car = snapshot.household.car
-        more = {"soc_min": to_pct(car.soc_min, 0), "soc_max": to_pct(car.soc_max, 0), "modes": MODES}
+        more = {
+            "soc_min": to_pct(car.soc_min, 0),
+            "soc_max": to_pct(car.soc_max, 0),
+            "modes": MODES,
+            "plugged": PLUGGED,
+        }
+        more["connected"] = PRESSED[state["connected"]]
         can_write = self.token is not None
         return self._html(
             "page.html", {"v": view, "state": state, "version": snapshot.version, "can_write": can_write, **more}
@@ -106,15 +115,14 @@ class Page:
             return Response(status_code=204)
         snapshot, state, view = seen
         parts: Any = self._env.get_template("parts.html").module
-        settings = state["settings"]
         return JSONResponse(
             {
                 "version": snapshot.version,
                 "status": view["status"],
                 "reason": view["reason"],
                 "at": view["at"],
-                "mode": state["mode"],
-                "values": {"minimum": f"{settings['minimum_pct']:g}", "ready_by": settings["ready_by"] or ""},
+                "pressed": {"mode": state["mode"], "connected": PRESSED[state["connected"]]},
+                "values": values(state),
                 "html": {part: str(getattr(parts, part)(view)) for part in PARTS},
             }
         )

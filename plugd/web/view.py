@@ -5,7 +5,8 @@ from datetime import datetime, timedelta
 from typing import Any
 from zoneinfo import ZoneInfo
 
-from plugd import ledger
+from plugd import ledger, remedies
+from plugd.command_words import WEEKDAYS
 from plugd.domain import Decision, Status
 from plugd.ledger import Night
 from plugd.score import LeadScore
@@ -25,6 +26,7 @@ STATUS = {
     Status.FAULT: "needs you",
 }
 SHOWN_NIGHTS = 7
+DAY_NAMES = ("Monday", "Tuesday", "Wednesday", "Thursday", "Friday", "Saturday", "Sunday")
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,7 +160,10 @@ def live(snapshot: Snapshot, state: dict[str, Any], scores: tuple[LeadScore, ...
         "status": STATUS[snapshot.decision.status],
         "reason": snapshot.decision.reason,
         "at": f"{local:%a %-d %b, %H:%M}",
-        "faults": snapshot.decision.faults,
+        "faults": [
+            {"title": remedies.title(fault), "text": fault.text, "remedy": remedies.remedy(fault)}
+            for fault in snapshot.decision.faults
+        ],
         "tiles": tiles(snapshot, state),
         "drawing": drawings(snapshot, says(snapshot)),
         "forecast": forecast_words(snapshot),
@@ -166,15 +171,62 @@ def live(snapshot: Snapshot, state: dict[str, Any], scores: tuple[LeadScore, ...
         "month": ledger.total(nights),
         "scores": scores,
         "trips": [_trip(trip) for trip in state["settings"]["trips"]],
+        "week": week(state),
         "grams": grams,
     }
 
 
 def _trip(trip: dict[str, Any]) -> dict[str, str]:
     day = datetime.fromisoformat(trip["date"])
+    return {"date": trip["date"], "words": f"{day:%A %-d %B}: {_asked(trip)}"}
+
+
+def _asked(rule: dict[str, Any]) -> str:
+    """What a trip or a weekday asks, in words."""
     asked = [
-        "away" if trip.get("away") else "",
-        f"{trip['minimum_pct']:g} %" if "minimum_pct" in trip else "",
-        f"ready by {trip['ready_by']}" if "ready_by" in trip else "",
+        "away" if rule.get("away") else "",
+        f"{rule['minimum_pct']:g} %" if "minimum_pct" in rule else "",
+        f"ready by {rule['ready_by']}" if "ready_by" in rule else "",
     ]
-    return {"date": trip["date"], "words": f"{day:%A %-d %B}: {', '.join(filter(None, asked))}"}
+    return ", ".join(filter(None, asked))
+
+
+@dataclass(frozen=True, slots=True)
+class Day:
+    """A weekday, and what its morning asks where it differs."""
+
+    key: str
+    name: str
+    minimum: str
+    ready_by: str
+    away: bool
+    words: str
+    """Empty where nothing differs."""
+
+
+def week(state: dict[str, Any]) -> list[Day]:
+    """The seven of them."""
+    found = []
+    for key, name in zip(WEEKDAYS, DAY_NAMES, strict=True):
+        rule: dict[str, Any] = state["settings"]["week"].get(key, {})
+        percent = f"{rule['minimum_pct']:g}" if "minimum_pct" in rule else ""
+        words = f"{name}: {_asked(rule)}" if rule else ""
+        found.append(Day(key, name, percent, rule.get("ready_by", ""), rule.get("away", False), words))
+    return found
+
+
+def values(state: dict[str, Any]) -> dict[str, str | bool]:
+    """What stands in the fields, by their ids."""
+    settings = state["settings"]
+    found: dict[str, str | bool] = {
+        "minimum": f"{settings['minimum_pct']:g}",
+        "ready_by": settings["ready_by"] or "",
+        "horizon": str(settings["horizon"]),
+    }
+    for day in week(state):
+        found |= {
+            f"{day.key}-minimum_pct": day.minimum,
+            f"{day.key}-ready_by": day.ready_by,
+            f"{day.key}-away": day.away,
+        }
+    return found

@@ -39,6 +39,7 @@ from plugd.domain import (
     Trip,
 )
 from plugd.planner.exact import Exact
+from plugd.remedies import remedy
 from tests.unit.deciding import HOME, NIGHT, forecast, knows
 
 BASE = "plugd/ev"
@@ -158,7 +159,7 @@ def test_any_base_makes_a_legal_topic_and_ids_of_its_own(base: str) -> None:
 
 def test_everything_a_person_would_look_for_is_there() -> None:
     assert {platform: len(named(platform)) for platform in NEEDED} == {
-        "sensor": 15, "binary_sensor": 3, "switch": 1, "number": 3, "select": 1, "text": 1, "button": 1,
+        "sensor": 15, "binary_sensor": 3, "switch": 1, "number": 3, "select": 1, "text": 1, "button": 2,
     }  # fmt: skip
     assert COMPONENTS["status"]["options"] == [
         "waiting_for_forecast", "holding_for_cleaner_night", "waiting_to_start", "charging", "boosting", "ready",
@@ -305,7 +306,7 @@ def test_what_is_known_is_shown() -> None:
 def test_each_fault_is_an_attribute_of_the_problem() -> None:
     assert (shown("problem", "waits"), shown("problem", "is broken")) == ("OFF", "ON")
     assert attributes("problem", "waits") == {}
-    assert attributes("problem", "is broken") == {fault.code: fault.text for fault in FAULTY}
+    assert attributes("problem", "is broken") == {fault.code: f"{fault.text}. {remedy(fault)}" for fault in FAULTY}
 
 
 def test_plan_and_outlook_are_attributes() -> None:

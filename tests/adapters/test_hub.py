@@ -44,6 +44,7 @@ from plugd.domain import (
     Trip,
 )
 from plugd.planner.exact import Exact
+from plugd.remedies import KNOWN
 from plugd_hil.broker import Mosquitto
 from tests.fakes import FakeClock
 from tests.programs import Listener
@@ -101,6 +102,7 @@ TRIP = Trip(THURSDAY, time(5, 30), 0.9)
         ("trip", b'{"date": "2023-01-05", "ready_by": "05:30", "away": false}', SetTrip(Trip(THURSDAY, time(5, 30)))),
         ("trip", b'{"date": "2023-01-05", "away": true, "clear": null}', SetTrip(Trip(THURSDAY, away=True))),
         ("trip", b' {"clear": true, "date": "2023-01-05"}\n', ClearTrip(THURSDAY)),
+        ("trip", b'{"clear": true}', ClearTrip(None)),
         ("week", b"", SetWeek(None)),
         ("week", b"null", SetWeek(None)),
         ("week", b"{}", SetWeek(())),
@@ -370,7 +372,7 @@ def test_a_key_that_was_never_there_is_a_fault_and_one_that_is_sometimes_there_i
     hub = MqttHub(MqttConnection(Broker(), "nobody"), Topics("plugd/ev", "car/soc", "battery.soc"), HOME)
     arrive(hub._car, ("car/soc", b'{"odometer": 5}', False))
     assert list(hub.commands()) == []
-    assert "there is no 'battery.soc' in the car's message; see [car] soc_topic" in hub.warnings[0].text
+    assert "there is no 'battery.soc' in the car's message" in hub.warnings[0].text
     arrive(hub._car, ("car/soc", b'{"battery": {"soc": 64}}', False))
     assert list(hub.commands()) == [SetSoc(0.64, source="car")]
     arrive(hub._car, ("car/soc", b'{"odometer": 6}', False))
@@ -449,7 +451,7 @@ def test_the_state_says_what_is() -> None:
         "switch_ons_today": 0,
         "forecast_age_min": 10,
         "forecast_until": "2023-01-04T23:00:00Z",
-        "faults": [{"code": "store", "text": "the card is full"}],
+        "faults": [{"code": "store", "text": "the card is full", "remedy": KNOWN["store"].remedy}],
     }
     assert {key: told[key] for key in expected} == expected
     assert told["ready_at"] == "2023-01-03T05:00:00Z"

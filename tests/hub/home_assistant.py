@@ -126,10 +126,15 @@ class Try:
     def a_trip_is_set_and_cleared(self) -> None:
         """By the service that a script or automation uses."""
         day = (utc_now() + timedelta(days=2)).date().isoformat()
-        for trip, count in (({"date": day, "minimum_pct": 78}, "1"), ({"date": day, "clear": True}, "0")):
-            self.hub.call("mqtt.publish", topic=f"{BASE}/trip/set", payload=json.dumps(trip), qos="1")
-            self.shows("trips", count)
-        say("  a trip is set, listed and cleared")
+        trip = {"date": day, "minimum_pct": 78}
+        for sent, count in ((trip, "1"), ({"date": day, "clear": True}, "0"), (trip, "1")):
+            self.hub.call("mqtt.publish", topic=f"{BASE}/trip/set", payload=json.dumps(sent), qos="1")
+            listed = self.shows("trips", count)["attributes"]["trips"]
+            if len(listed) != int(count):
+                raise Failed(f"{count} trips, and listed are {listed}")
+        self.hub.call("button.press", entity_id=self.ids["clear_trips"])
+        self.shows("trips", "0")
+        say("  a trip is set, listed and cleared, by its date and by the button")
 
     def a_fault_is_shown(self) -> None:
         """As the problem's attribute, and gone again."""

@@ -66,6 +66,7 @@ def meaning(mode: Mode, presence: Presence = UNTOLD, press: Press | None = None)
             "2023-01-05: away",
         ),
         (ClearTrip(TRIP.day), {}, "2023-01-05: as any other day"),
+        (ClearTrip(None), {}, "no trips are set"),
         (SetWeek(WEEK), {"overrides": Overrides(week=WEEK)}, "2 days of the week differ"),
         (SetWeek(()), {"overrides": Overrides(week=())}, "0 days of the week differ"),
         (SetWeek(None), {}, "the week is the configured one"),

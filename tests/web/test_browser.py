@@ -1,7 +1,7 @@
 """The page in a real browser: it loads, keeps itself fresh, sets what is set, and fits a phone."""
 
 from collections.abc import Callable, Iterator
-from datetime import date
+from datetime import date, time
 from pathlib import Path
 
 import pytest
@@ -13,7 +13,7 @@ from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.remote.webelement import WebElement
 from selenium.webdriver.support.ui import WebDriverWait
 
-from plugd.domain import Fault, Mode
+from plugd.domain import DayRule, Fault, Mode, Overrides, SetHorizon, SetWeek
 from tests.web.serving import TOKEN, Served
 
 pytestmark = [pytest.mark.requires("chromium"), pytest.mark.timeout(180)]
@@ -114,6 +114,7 @@ def test_it_keeps_itself_fresh(sight: Sight) -> None:
     sight.served.room.plug.warnings = (Fault("plug_socket", "the socket is warm"),)
     sight.served.later(minutes=30)
     sight.says("#faults", "the socket is warm")
+    sight.says("#faults", "Look at plugd's log.")
     sight.says("#at", "23:30")
     sight.served.room.plug.warnings = ()
     sight.served.later(minutes=30)
@@ -138,12 +139,12 @@ def test_the_minimum_is_set_with_the_keyboard_alone(sight: Sight) -> None:
 
 def test_a_boost_charges_and_is_shown(sight: Sight) -> None:
     sight.token()
-    sight.one("[data-mode=now]").click()
+    sight.one("[data-command=mode][data-value=now]").click()
     sight.says("#answer", "mode is now")
     sight.says("#status", "charging now")
     assert sight.served.room.plug.on
-    sight.until(lambda: sight.one("[data-mode=now]").get_attribute("aria-pressed") == "true")
-    sight.one("[data-mode=smart]").click()
+    sight.until(lambda: sight.one("[data-command=mode][data-value=now]").get_attribute("aria-pressed") == "true")
+    sight.one("[data-command=mode][data-value=smart]").click()
     sight.says("#answer", "mode is smart")
     assert sight.served.room.cycle.memory.overrides.mode is Mode.SMART
 
@@ -152,13 +153,60 @@ def test_a_trip_is_set_and_removed(sight: Sight) -> None:
     sight.token()
     sight.fill("[name=date]", "2023-01-04")
     sight.type("[name=minimum_pct]", "75")
-    sight.fill(".wide-form [name=ready_by]", "06:15")
+    sight.fill("[data-command=trip] [name=ready_by]", "06:15")
     sight.one("[data-command=trip] .row button").click()
     sight.says("#trips", "Wednesday 4 January: 75 %, ready by 06:15")
     assert [trip.day for trip in sight.served.room.cycle.memory.overrides.trips] == [date(2023, 1, 4)]
     sight.one("[data-clear]").click()
     sight.until(lambda: sight.one("#trips").text == "")
     assert sight.served.room.cycle.memory.overrides.trips == ()
+
+
+def overrides(sight: Sight) -> Overrides:
+    return sight.served.room.cycle.memory.overrides
+
+
+def test_the_week_is_set_and_given_back(sight: Sight) -> None:
+    sight.token()
+    sight.one("#more summary").send_keys(Keys.ENTER)
+    sight.type("#sat-minimum_pct", "65")
+    sight.fill("#sat-ready_by", "10:00")
+    sight.one("#sun-away").click()
+    sight.one("[data-command=week] button:not([type])").click()
+    sight.says("#answer", "2 days of the week differ")
+    week = (5, DayRule(time(10), 0.65)), (6, DayRule(away=True))
+    assert overrides(sight).week == week
+    sight.one("button[data-command=week]").click()
+    sight.says("#answer", "the week is the configured one")
+    assert overrides(sight).week is None
+    sight.until(lambda: sight.one("#sat-ready_by").get_property("value") == "")
+    assert not sight.one("#sun-away").is_selected()
+
+
+def test_what_is_rarely_used_is_folded_and_works(sight: Sight) -> None:
+    assert not sight.one("#horizon").is_displayed()
+    sight.token()
+    sight.one("#more summary").click()
+    sight.type("#horizon", "2")
+    sight.one("#horizon").send_keys(Keys.ENTER)
+    sight.says("#answer", "2 sessions are planned together")
+    for word, there in (("ON", True), ("OFF", False)):
+        sight.one(f"[data-command=connected][data-value={word}]").click()
+        sight.says("#answer", "the car is here" if there else "the car is not here")
+        assert sight.served.room.cycle.memory.presence.connected is there
+        pressed = f"[data-command=connected][data-value={word}][aria-pressed=true]"
+        sight.until(lambda css=pressed: bool(sight.browser.find_elements(By.CSS_SELECTOR, css)))  # type: ignore[misc]
+    sight.one("[data-command=replan]").click()
+    sight.says("#answer", "planned anew")
+    assert sight.served.room.cycle.memory.overrides.horizon == 2
+
+
+def test_what_is_set_elsewhere_is_shown_in_the_fields(sight: Sight) -> None:
+    sight.served.room.hub.said.append(SetWeek(((6, DayRule(away=True)),)))
+    sight.served.room.hub.said.append(SetHorizon(3))
+    sight.served.later(seconds=10)
+    sight.until(lambda: sight.one("#horizon").get_property("value") == "3")
+    assert sight.one("#sun-away").is_selected()
 
 
 def test_the_soc_is_told(sight: Sight) -> None:
@@ -171,7 +219,7 @@ def test_the_soc_is_told(sight: Sight) -> None:
 
 def test_a_wrong_token_changes_nothing_and_says_so(sight: Sight) -> None:
     sight.token("guessed")
-    sight.one("[data-mode=off]").click()
+    sight.one("[data-command=mode][data-value=off]").click()
     sight.says("#answer", "that is not the token")
     assert sight.served.room.cycle.memory.overrides.mode is Mode.SMART
     told = sight.complaints()  # the browser itself says that a request was refused
@@ -186,22 +234,24 @@ def test_it_fits_a_phone(sight: Sight) -> None:
     )
     try:
         sight.browser.get(f"http://{sight.served.host}/")
+        sight.one("#more summary").click()
         width = sight.browser.execute_script("return document.documentElement.scrollWidth")
         assert width <= PHONE[0]
         assert sight.one("#drawing svg.narrow").is_displayed()
         assert not sight.one("#drawing svg.wide").is_displayed()
-        for button in sight.browser.find_elements(By.CSS_SELECTOR, "[data-mode]"):
+        for button in sight.browser.find_elements(By.CSS_SELECTOR, "[data-command=mode]"):
             assert button.size["height"] >= 40
     finally:
         sight.browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
 
 
 def test_every_control_has_a_name_and_can_be_reached_by_tab(sight: Sight) -> None:
-    controls = sight.browser.find_elements(By.CSS_SELECTOR, "main button, main input:not([hidden])")
-    assert len(controls) >= 12
+    sight.one("#more summary").send_keys(Keys.ENTER)
+    controls = sight.browser.find_elements(By.CSS_SELECTOR, "main button, main summary, main input:not([hidden])")
+    assert len(controls) >= 40
     assert [c.get_attribute("outerHTML") for c in controls if not c.accessible_name] == []
     reached = set()
-    for _ in range(60):
+    for _ in range(90):
         sight.browser.switch_to.active_element.send_keys(Keys.TAB)
         reached.add(sight.browser.switch_to.active_element.id)
     assert {c.id for c in controls} <= reached
@@ -211,6 +261,10 @@ def test_every_control_has_a_name_and_can_be_reached_by_tab(sight: Sight) -> Non
 def test_words_stand_out_from_their_ground(sight: Sight, scheme: str) -> None:
     """WCAG AA: 4.5 to 1, in either scheme."""
     media = {"features": [{"name": "prefers-color-scheme", "value": scheme}]}
+    sight.served.room.plug.warnings = (Fault("plug_protects", "the plug is hot"),)
+    sight.served.later(minutes=1)
+    sight.says("#faults", "the plug is hot")
+    sight.one("#more summary").click()
     sight.browser.execute_cdp_cmd("Emulation.setEmulatedMedia", media)
     ratios = sight.browser.execute_script(CONTRAST)
     sight.browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
@@ -229,7 +283,7 @@ const ground = (e) => {
   return css === "rgba(0, 0, 0, 0)" && e.parentElement ? ground(e.parentElement) : css;
 };
 const found = {};
-const WORDS = "h1, h2, p, dt, dd, small, th, td, button, label, legend, a, li, svg.wide text";
+const WORDS = "h1, h2, p, dt, dd, small, th, td, button, label, legend, a, li, strong, summary, svg.wide text";
 for (const e of document.querySelectorAll(WORDS)) {
   if (!e.textContent.trim() || e.classList.contains("unseen")) continue;
   const style = getComputedStyle(e);

@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 from datetime import date, timedelta
+from datetime import time as time_of_day
 from html.parser import HTMLParser
 from importlib.resources import files
 from pathlib import Path
@@ -18,8 +19,9 @@ from prometheus_client.parser import text_string_to_metric_families
 from plugd import page as opening
 from plugd.adapters.hub import state
 from plugd.config import parse
-from plugd.domain import Fault, Mode
+from plugd.domain import DayRule, Fault, Mode
 from plugd.ports import Hub, Inbox
+from plugd.remedies import KNOWN
 from plugd.web.server import MOST_CONNECTIONS
 from tests.unit.deciding import HOME, minutes
 from tests.web.serving import TOKEN, NoLine, Served
@@ -108,10 +110,12 @@ def test_only_what_is_new_is_sent_again(served: Served) -> None:
 
 
 def test_faults_are_shown_with_what_to_do(served: Served) -> None:
-    served.room.plug.warnings = (Fault("plug_socket", "the socket is warm; replace it"),)
+    served.room.plug.warnings = (Fault("plug_protects", "plug ev has switched itself off (overtemp)"),)
     served.later(minutes=1)
-    assert "the socket is warm; replace it" in served.get().text
-    assert "the socket is warm" in served.get("/live").document["html"]["faults"]
+    for text in (served.get().text, served.get("/live").document["html"]["faults"]):
+        for words in ("The plug has switched itself off.", "plug ev has switched itself off (overtemp)"):
+            assert words in text
+        assert KNOWN["plug_protects"].remedy in text
 
 
 def test_before_the_first_step_it_waits() -> None:
@@ -178,19 +182,29 @@ def test_what_is_set_is_obeyed_and_answered(served: Served) -> None:
     assert served.set("mode", "now").document["ok"]
     assert served.set("ready_by", "06:15").document["ok"]
     assert served.set("soc", "44").document["ok"]
+    assert served.set("horizon", "3").document["ok"]
+    assert served.set("week", '{"sat": {"ready_by": "10:00"}}').document["ok"]
+    assert served.set("connected", "ON").document["ok"]
+    assert served.set("replan", "PRESS").document["ok"]
     overrides = served.room.cycle.memory.overrides
-    assert (overrides.mode, overrides.minimum) == (Mode.NOW, 0.65)
+    assert (overrides.mode, overrides.minimum, overrides.horizon) == (Mode.NOW, 0.65, 3)
+    assert overrides.week == ((5, DayRule(time_of_day(10))),)
     assert served.room.cycle.memory.soc.mean == pytest.approx(0.44, abs=0.01)
     assert served.room.plug.on
     assert 'aria-pressed="true">Now' in served.get().text
-    assert [answer.command for answer in served.room.hub.answers] == ["minimum", "mode", "ready_by", "soc"]
+    assert [answer.command for answer in served.room.hub.answers] == [
+        "minimum", "mode", "ready_by", "soc", "horizon", "week", "connected", "replan",
+    ]  # fmt: skip
 
 
 def test_a_trip_is_set_shown_and_cleared(served: Served) -> None:
     assert served.set("trip", json.dumps({"date": "2023-01-04", "minimum_pct": 70, "ready_by": "06:00"})).document["ok"]
     assert [(t.day, t.minimum) for t in served.room.cycle.memory.overrides.trips] == [(date(2023, 1, 4), 0.7)]
     assert "Wednesday 4 January: 70 %, ready by 06:00" in served.get().text
+    assert served.set("trip", json.dumps({"date": "2023-01-05", "away": True})).document["ok"]
     assert served.set("trip", json.dumps({"date": "2023-01-04", "clear": True})).document["ok"]
+    assert [t.day for t in served.room.cycle.memory.overrides.trips] == [date(2023, 1, 5)]
+    assert served.set("trip", json.dumps({"clear": True})).document["message"] == "no trips are set"
     assert served.room.cycle.memory.overrides.trips == ()
 
 

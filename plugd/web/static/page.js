@@ -38,11 +38,14 @@
         shown[id] = html;
       }
     }
-    for (const button of document.querySelectorAll("[data-mode]"))
-      button.setAttribute("aria-pressed", String(button.dataset.mode === news.mode));
+    for (const [command, chosen] of Object.entries(news.pressed))
+      for (const button of document.querySelectorAll(`button[data-command=${command}]`))
+        button.setAttribute("aria-pressed", String(button.dataset.value === chosen));
     for (const [id, value] of Object.entries(news.values)) {
       const input = byId(id);
-      if (input && document.activeElement !== input && !input.dataset.touched) input.value = value;
+      if (!input || document.activeElement === input || input.dataset.touched) continue;
+      if (input.type === "checkbox") input.checked = value;
+      else input.value = value;
     }
   };
 
@@ -59,11 +62,13 @@
       });
       const told = await reply.json();
       ok = told.ok;
+      if (reply.status === 401) byId("access").open = true;
       answer.textContent = told.message;
     } catch {
       answer.textContent = "plugd does not answer; is it running?";
     }
     answer.className = ok ? "answer good" : "answer bad";
+    answer.scrollIntoView({ block: "nearest" });
     refresh();
     return ok;
   };
@@ -76,28 +81,51 @@
     return JSON.stringify(asked);
   };
 
+  const week = (form) => {
+    const asked = {};
+    for (const input of form.querySelectorAll("input")) {
+      const [day, key] = input.id.split("-");
+      const value = input.type === "checkbox" ? input.checked : input.value;
+      if (value) (asked[day] ??= {})[key] = key === "minimum_pct" ? Number(value) : value;
+    }
+    return JSON.stringify(asked);
+  };
+
+  const PAYLOAD = { trip, week };
+
+  const untouch = (form) => {
+    for (const input of form?.elements ?? []) delete input.dataset.touched;
+  };
+
   document.addEventListener("submit", async (event) => {
     event.preventDefault();
     const form = event.target;
     if (form.id === "token-form") {
       localStorage.setItem(TOKEN, byId("token").value);
       byId("token").value = "";
+      byId("access").open = false;
       byId("answer").className = "answer good";
       byId("answer").textContent = "The token is kept in this browser.";
       return;
     }
     const command = form.dataset.command;
-    const ok = await send(command, command === "trip" ? trip(form) : form.elements.value.value);
-    for (const input of form.elements) delete input.dataset.touched;
+    const payload = PAYLOAD[command]?.(form) ?? form.elements.value.value;
+    const ok = await send(command, payload);
+    if (ok) untouch(form);
     if (ok && (command === "trip" || command === "soc")) form.reset();
   });
 
   document.addEventListener("click", (event) => {
-    const { mode, clear } = event.target.closest("button")?.dataset ?? {};
-    if (mode) send("mode", mode);
+    const button = event.target.closest("button");
+    const { command, value, clear } = button?.dataset ?? {};
     if (clear) send("trip", JSON.stringify({ date: clear, clear: true }));
+    if (command) {
+      untouch(button.form);
+      send(command, value);
+    }
   });
 
+  if (byId("access") && !localStorage.getItem(TOKEN)) byId("access").open = true;
   document.addEventListener("input", (event) => { event.target.dataset.touched = "yes"; });
   document.addEventListener("visibilitychange", () => { if (!document.hidden) refresh(); });
   setInterval(() => { if (!document.hidden) refresh(); }, EVERY_MS);
