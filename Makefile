@@ -41,7 +41,7 @@ hub-test: $(READY) $(HASS) ## against a real Home Assistant, and Node-RED where 
 	$(HASS_PYTHON) -m venv --clear .venv-hass
 	.venv-hass/bin/python -m pip install --quiet homeassistant
 
-pictures: $(READY) ## the pictures of the page in docs/, anew, from a simulated fortnight
+pictures: $(READY) ## the pictures of the page in docs/, anew, from ten simulated days
 	$(VENV)/bin/python -m tests.web.pictures $(ARGS)
 
 weeks: $(READY) ## the README's four weeks on measured intensity ($PLUGD_DATA), and that they hold

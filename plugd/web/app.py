@@ -35,7 +35,7 @@ STALE_S = 120.0
 SCORED_AGAIN = timedelta(hours=6)
 PARTS = ("tiles", "faults", "drawing", "trips", "nights", "scores")
 MODES = (("smart", "Smart"), ("now", "Now"), ("off", "Off"))
-PLUGGED = (("ON", "Plugged in"), ("OFF", "Not plugged in"))
+PLUGGED = (("ON", "Plugged in"), ("OFF", "Away"))
 PRESSED = {True: "ON", False: "OFF", None: ""}
 """Which of them is pressed; neither where nobody has said."""
 

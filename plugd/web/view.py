@@ -7,7 +7,7 @@ from zoneinfo import ZoneInfo
 
 from plugd import ledger, remedies
 from plugd.command_words import WEEKDAYS
-from plugd.domain import Decision, Status
+from plugd.domain import Decision, Savings, Status
 from plugd.ledger import Night
 from plugd.score import LeadScore
 from plugd.units import grams, to_pct
@@ -25,6 +25,13 @@ STATUS = {
     Status.OFF: "off",
     Status.FAULT: "needs you",
 }
+SAID_BY = {
+    "car": "told by the car, AGO",
+    "hub": "as you said, AGO",
+    "meter": "told AGO, metered",
+    "full": "full when it last stopped",
+}
+"""Who says how full it is, by the SOC's source."""
 SHOWN_NIGHTS = 7
 DAY_NAMES = ("Monday", "Tuesday", "Wednesday", "Thursday", "Friday", "Saturday", "Sunday")
 
@@ -59,17 +66,19 @@ def _battery(decision: Decision) -> Tile:
     soc = decision.memory.soc
     if soc.told_at is None:
         return Tile("battery", f"{to_pct(soc.mean, 0):.0f} %", "nobody has told yet")
-    return Tile(
-        "battery",
-        f"{to_pct(soc.mean, 0):.0f} %",
-        f"told by {soc.source}, {_ago((decision.at - soc.told_at).total_seconds())}",
-    )
+    ago = _ago((decision.at - soc.told_at).total_seconds())
+    how = SAID_BY.get(soc.source, f"told by {soc.source}, AGO").replace("AGO", ago)
+    return Tile("battery", f"{to_pct(soc.mean, 0):.0f} %", how)
 
 
-def _when(snapshot: Snapshot) -> str:
-    """Which night the last savings are of."""
+def _saved(snapshot: Snapshot, saved: Savings) -> Tile:
+    """In all, and of the last night where it saved anything; else in percent of what arriving would have cost."""
     end = snapshot.nights[-1].session_end if snapshot.nights else None
-    return "of it last night" if end is not None and end <= snapshot.decision.at else "of it tonight"
+    when = "last night" if end is not None and end <= snapshot.decision.at else "tonight"
+    share = ledger.total(snapshot.nights).saved_pct
+    more = "against charging on arrival" if share is None else f"{share:.0f} % less than on arrival"
+    more = f"{grams(saved.today_g)} {when}" if abs(saved.today_g) >= 0.5 else more
+    return Tile("CO2 saved", grams(saved.total_g), more)
 
 
 def tiles(snapshot: Snapshot, state: dict[str, Any]) -> list[Tile]:
@@ -88,7 +97,7 @@ def tiles(snapshot: Snapshot, state: dict[str, Any]) -> list[Tile]:
     if state["intensity_g_per_kwh"] is not None:
         found.append(Tile("grid now", f"{state['intensity_g_per_kwh']:.0f} g", "CO2 per kWh"))
     if decision.saved is not None:
-        found.append(Tile("saved", grams(decision.saved.total_g), f"{grams(decision.saved.today_g)} {_when(snapshot)}"))
+        found.append(_saved(snapshot, decision.saved))
     return found
 
 

@@ -1,9 +1,10 @@
-"""The pictures of the page in docs/, anew: `make pictures`. A simulated fortnight, a broker and a browser are needed.
+"""The pictures of the page in docs/, anew: `make pictures`. Ten simulated days; a broker and a browser are needed.
 
 The page is that of `plugd demo --page`, stopped on an evening instead of at noon, with a trip and a Sunday set on it.
 """
 
 import argparse
+import os
 import subprocess
 import sys
 import tempfile
@@ -23,16 +24,16 @@ from tests.conftest import find_chromedriver, find_chromium
 from tests.hub.hubs import end_in_order, say
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
-EVENING = datetime(2023, 1, 20, 20, 45, tzinfo=UTC)
+EVENING = datetime(2023, 1, 11, 21, 10, tzinfo=UTC)
 """Of the synthetic year: the car is home, and is held back for a cleaner night."""
-DAYS = 16
+DAYS = 10
 SET = (
-    ("trip", '{"date": "2023-01-23", "minimum_pct": 75, "ready_by": "06:30"}'),
+    ("trip", '{"date": "2023-01-14", "minimum_pct": 75, "ready_by": "06:30"}'),
     ("week", '{"sun": {"ready_by": "10:00"}}'),
 )
 SHOTS = (
-    ("page.png", 980, 1060, "light", 1.0),
-    ("page-dark.png", 980, 1060, "dark", 1.0),
+    ("page.png", 980, 960, "light", 1.0),
+    ("page-dark.png", 980, 960, "dark", 1.0),
     ("page-phone.png", 390, 844, "light", 1.0),
 )
 """(file, width, height, scheme, pixels a point)"""
@@ -71,8 +72,7 @@ def browser(chromium: Path, driver: Path) -> Iterator[webdriver.Chrome]:
         for flag in ("--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--hide-scrollbars"):
             flags.add_argument(flag)
         flags.add_argument(f"--user-data-dir={profile}")
-        flags.add_argument("--lang=en-GB")
-        found = webdriver.Chrome(flags, Service(str(driver)))
+        found = webdriver.Chrome(flags, Service(str(driver), env={**os.environ, "LANGUAGE": "en_GB"}))
         try:
             yield found
         finally:

@@ -16,13 +16,16 @@ from statistics import median
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
+from plugd import ledger
 from plugd import page as opening
 from plugd.adapters.hub import state
 from plugd.config import parse
 from plugd.domain import DayRule, Fault, Mode
 from plugd.ports import Hub, Inbox
 from plugd.remedies import KNOWN
+from plugd.units import grams
 from plugd.web.server import MOST_CONNECTIONS
+from plugd.web.view import Tile, tiles
 from tests.unit.deciding import HOME, minutes
 from tests.web.serving import TOKEN, NoLine, Served
 
@@ -90,6 +93,41 @@ def test_page_and_state_have_the_figures_of_the_ledger(served: Served) -> None:
     for night in nights:
         assert f"<td>{night.kwh:.1f}</td>" in page
     assert f"{saved_g:.0f} g saved" in page
+
+
+@pytest.mark.parametrize(
+    ("source", "words"),
+    [
+        ("car", "told by the car, 2 h ago"),
+        ("hub", "as you said, 2 h ago"),
+        ("meter", "told 2 h ago, metered"),
+        ("full", "full when it last stopped"),
+        ("fleet", "told by fleet, 2 h ago"),
+    ],
+)
+def test_who_says_how_full_the_battery_is(served: Served, source: str, words: str) -> None:
+    snapshot = served.desk.snapshot
+    assert snapshot is not None
+    told = replace(snapshot.decision.memory.soc, source=source, told_at=snapshot.decision.at - timedelta(hours=2))
+    decision = replace(snapshot.decision, memory=replace(snapshot.decision.memory, soc=told))
+    shown = tiles(replace(snapshot, decision=decision), state(decision, None, HOME))
+    assert shown[0] == Tile("battery", "60 %", words)
+
+
+def test_the_tile_of_what_was_saved_is_the_ledgers(served: Served) -> None:
+    served.room.run(served.room.clock.at + timedelta(hours=34))
+    snapshot = served.desk.snapshot
+    assert snapshot is not None
+    total_g, month = snapshot.decision.saved, ledger.total(snapshot.nights)
+    assert total_g is not None
+    assert month.saved_pct is not None
+
+    def tile(today_g: float) -> Tile:
+        decision = replace(snapshot.decision, saved=replace(total_g, today_g=today_g))
+        return tiles(replace(snapshot, decision=decision), served.get("/api/state").document)[-1]
+
+    assert tile(0.0) == Tile("CO2 saved", grams(total_g.total_g), f"{month.saved_pct:.0f} % less than on arrival")
+    assert tile(321.0).more in ("321 g last night", "321 g tonight")
 
 
 def test_the_state_is_the_hubs_own(served: Served) -> None:
