@@ -1,6 +1,7 @@
 """The page over HTTP: what it shows, what it sets, and whom it refuses."""
 
 import json
+import re
 import socket
 import threading
 import time
@@ -93,6 +94,39 @@ def test_page_and_state_have_the_figures_of_the_ledger(served: Served) -> None:
     for night in nights:
         assert f"<td>{night.kwh:.1f}</td>" in page
     assert f"{saved_g:.0f} g saved" in page
+
+
+def test_every_number_of_what_was_saved_follows_from_the_half_hours(served: Served) -> None:
+    served.room.run(served.room.clock.at + timedelta(days=4, hours=12))
+    assert served.room.cycle.book is not None
+    rows, nights = served.room.cycle.book.known()
+    page = served.get().text
+    table = re.search(r"<tbody>\n(<tr><td>.*?)</tbody>", page, re.DOTALL)
+    assert table is not None
+    shown = {
+        cells[0]: cells[1:]
+        for cells in (re.findall(r"<td[^>]*>(.*?)</td>", row) for row in table[1].split("</tr>"))
+        if cells
+    }
+    assert len(shown) == len(nights) == 5
+    whole = dict.fromkeys(("kwh", "ours", "arrival", "best"), 0.0)
+    for night in nights:
+        those = [row for row in rows if row.night == night.day]
+        kwh, ours_g = sum(row.kwh for row in those), sum(row.kwh * row.carbon_g_per_kwh for row in those)
+        arrival_g, best_g = night.on_arrival_g, night.best_g
+        for key, value in zip(whole, (kwh, ours_g, arrival_g, best_g), strict=True):
+            whole[key] += value
+        morning = "" if night.morning_soc is None else f"{100 * night.morning_soc:.0f} %"
+        flowed = kwh > 0.005
+        figures = [f"{g / kwh:.0f}" if flowed else "-" for g in (ours_g, arrival_g, best_g)]
+        saved = f"{arrival_g - ours_g:.0f} g" if flowed else "-"
+        assert shown[f"{night.day:%a %-d %b}"] == [f"{kwh:.1f}", *figures, saved, morning]
+        assert best_g <= ours_g + 0.01
+    text = re.sub(r"<.*?>", "", page)
+    per_kwh = {key: f"{grams_ / whole['kwh']:.0f}" for key, grams_ in whole.items() if key != "kwh"}
+    assert f"{whole['kwh']:.1f} kWh in 5 nights at {per_kwh['ours']} g/kWh" in text
+    assert f"would have been at {per_kwh['arrival']}: {grams(whole['arrival'] - whole['ours'])} saved" in text
+    assert f"were at {per_kwh['best']}." in text
 
 
 @pytest.mark.parametrize(
