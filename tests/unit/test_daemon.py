@@ -14,6 +14,7 @@ from plugd.cli.log import LogLine
 from plugd.config import parse
 from plugd.domain import Answer, Decision, Fault, Forecast, Intensity, Memory, Status
 from plugd.journal import Journal, is_news
+from plugd.remedies import KNOWN
 from plugd.soc import unknown
 
 NOW = datetime(2023, 1, 2, 22, tzinfo=UTC)
@@ -62,7 +63,7 @@ def test_the_log_says_why_and_what_fails_and_each_only_once(caplog: pytest.LogCa
         journal.note(decision)
     assert [(r.levelname, r.message) for r in caplog.records] == [
         ("INFO", "Waiting until 03:00."),
-        ("WARNING", "plug_silent: plug ev-plug is silent"),
+        ("WARNING", f"plug_silent: plug ev-plug is silent. {KNOWN['plug_silent'].remedy}"),
         ("INFO", "command mode: mode is now"),
         ("INFO", "plug_silent: works again"),
         ("INFO", "Charging."),

@@ -19,7 +19,8 @@ from selenium.webdriver.chrome.options import Options as Flags
 from selenium.webdriver.chrome.service import Service
 
 from plugd_hil.broker import HOST, free_port
-from plugd_hil.demo import Options, run
+from plugd_hil.demo import run
+from plugd_hil.demo_run import Options
 from tests.conftest import find_chromedriver, find_chromium
 from tests.hub.hubs import end_in_order, say
 
