@@ -25,7 +25,7 @@ def calls() -> Iterator[tuple[str, ast.expr]]:
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.Call) and node.args:
                 name = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
-                if name in ("Fault", "_fault"):
+                if name == "Fault" or (name == "_fault" and len(node.args) > 1):
                     yield str(path.relative_to(ROOT)), node.args[0]
 
 
