@@ -13,7 +13,7 @@ from enum import StrEnum
 from functools import partial
 
 from plugd import flow, sessions, soc
-from plugd.domain import Household, Memory, Mode, Relay, Session, Setpoint, Switching, Wanted
+from plugd.domain import Household, Memory, Mode, Relay, Session, Setpoint, SocEstimate, Switching, Wanted
 from plugd.guard import Need, Verdict, guard
 from plugd.planner.nights import MET_KWH
 from plugd.planner.taper import flat_kwh
@@ -86,10 +86,15 @@ def is_off_again(told: Wanted | None, wanted: Wanted) -> bool:
     return not (isinstance(told, Relay) and isinstance(wanted, Relay)) or told.held is wanted.held
 
 
-def cautious_soc(moment: datetime, memory: Memory, household: Household) -> float:
-    """The SOC that promises are made on, as it will be at a moment: what is driven until then taken off."""
+def soc_at(moment: datetime, memory: Memory, household: Household) -> SocEstimate:
+    """The estimate as it will be at a moment: what is driven until then taken off."""
     coming = sessions.drives(household, memory.overrides, memory.presence, memory.soc.driven_to, moment)
-    return soc.cautious(soc.driven(memory.soc, coming, household.car))
+    return soc.driven(memory.soc, coming, household.car)
+
+
+def cautious_soc(moment: datetime, memory: Memory, household: Household) -> float:
+    """The SOC that promises are made on, as it will be at a moment."""
+    return soc.cautious(soc_at(moment, memory, household))
 
 
 def next_plug_in(now: datetime, memory: Memory, household: Household) -> datetime | None:

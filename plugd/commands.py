@@ -5,7 +5,7 @@ from dataclasses import replace
 from datetime import date, datetime, timedelta
 from typing import Any
 
-from plugd import flow, sessions, soc
+from plugd import flow, habits, sessions, soc
 from plugd.domain import (
     Answer,
     ClearTrip,
@@ -237,6 +237,7 @@ def apply(
     """Apply commands in order. Each sets, none toggles, so that one that comes twice does no harm."""
     answers = []
     for command in commands:
-        memory, answer = _APPLY[type(command)](command, memory, household, now)
+        obeyed, answer = _APPLY[type(command)](command, memory, household, now)
+        memory = habits.observed(now, memory, obeyed, household)
         answers.append(answer)
     return memory, tuple(answers)

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 
-from plugd import beat, commands, flow, reasons, sessions, soc
+from plugd import beat, commands, flow, habits, reasons, sessions, soc
 from plugd import outlook as outlooks
 from plugd.domain import (
     Capability,
@@ -45,14 +45,16 @@ class Controller:
 
     def tick(self, now: datetime, seen: Observation, memory: Memory) -> Decision:
         """Obey commands, look at the plug, plan the next sessions, and turn tonight's plan into orders."""
-        memory, answers = commands.apply(seen.commands, memory, self.household, now)
-        memory = perceive(now, seen.reading, memory, self.household)
-        coming = self._coming(now, memory)
+        memory, answers = commands.apply(seen.commands, memory, self.house(memory), now)
+        memory = perceive(now, seen.reading, memory, self.house(memory))
+        house = self.house(memory)
+        horizon = memory.overrides.horizon or house.nights.horizon
+        coming = sessions.expected(now, house, memory.overrides, memory.presence, horizon)
         outlook = None
         if coming:
             outlook = outlooks.extend(seen.forecast, seen.history, now, coming[-1].end)
-            plan = self._plan(now, coming, outlook, seen.history, memory)
-            memory = replace(memory, plan=plan, orders=self._orders(now, plan, memory))
+            plan = self._plan(now, coming, outlook, seen.history, memory, house)
+            memory = replace(memory, plan=plan, orders=self._orders(now, plan, memory, house))
         else:
             memory = replace(memory, plan=None, orders=None)
         decision = self.describe(now, seen, memory, outlook)
@@ -66,14 +68,19 @@ class Controller:
 
     def act(self, now: datetime, seen: Observation, memory: Memory) -> beat.Action:
         """What the plug is told between ticks: the stored orders, unless somebody outranks them."""
-        memory = perceive(now, seen.reading, memory, self.household)
-        return beat.decide(now, memory, self.household)
+        memory = perceive(now, seen.reading, memory, self.house(memory))
+        return beat.decide(now, memory, self.house(memory))
+
+    def house(self, memory: Memory) -> Household:
+        """The household with what was learned of it."""
+        return habits.informed(self.household, memory.habits)
 
     def describe(self, now: datetime, seen: Observation, memory: Memory, outlook: Outlook | None) -> Decision:
         """The decision as it stands, with its status and reason."""
-        action = beat.decide(now, memory, self.household)
-        faults = (*seen.faults, *flow.faults(now, action.memory, self.household))
-        status, reason = reasons.explain(now, action, action.memory, outlook, self.household, faults)
+        house = self.house(memory)
+        action = beat.decide(now, memory, house)
+        faults = (*seen.faults, *flow.faults(now, action.memory, house))
+        status, reason = reasons.explain(now, action, action.memory, outlook, house, faults)
         planned = memory.plan.sessions if memory.plan else ()
         return Decision(
             at=now,
@@ -86,10 +93,6 @@ class Controller:
             faults=faults,
         )
 
-    def _coming(self, now: datetime, memory: Memory) -> tuple[Session, ...]:
-        horizon = memory.overrides.horizon or self.household.nights.horizon
-        return sessions.expected(now, self.household, memory.overrides, memory.presence, horizon)
-
     def _plan(
         self,
         now: datetime,
@@ -97,19 +100,21 @@ class Controller:
         outlook: Outlook,
         history: tuple[Intensity, ...],
         memory: Memory,
+        house: Household,
     ) -> Plan:
         """Solve on the cautious SOC, with the power that the car was seen to take."""
-        car = self.household.car
-        energy_kwh = beat.cautious_soc(coming[0].start, memory, self.household) * car.capacity_kwh
-        power_kw = believed_kw(memory.observed_kw, self.household.capability.power_max_kw)
-        parts = nights.layout(coming, now, energy_kwh, power_kw, self.household)
-        asked = nights.problem(parts, outlook, energy_kwh, memory.plan, self.household, history)
-        held = hold.held(asked, parts, now, self.household)
+        car = house.car
+        at_home = beat.soc_at(coming[0].start, memory, house)
+        energy_kwh, unsure_kwh = (of(at_home) * car.capacity_kwh for of in (soc.cautious, soc.unsure))
+        power_kw = believed_kw(memory.observed_kw, house.capability.power_max_kw)
+        parts = nights.layout(coming, now, energy_kwh, power_kw, house, unsure_kwh=unsure_kwh)
+        asked = nights.problem(parts, outlook, energy_kwh, memory.plan, house, history)
+        held = hold.held(asked, parts, now, house)
         stated, solution = taper.solve(self.solver, held, car)
         stated, solution = hold.let_go(asked, stated, solution)
-        return nights.plan(now, parts, stated, solution, self.household)
+        return nights.plan(now, parts, stated, solution, house)
 
-    def _orders(self, now: datetime, plan: Plan, memory: Memory) -> Orders:
+    def _orders(self, now: datetime, plan: Plan, memory: Memory, house: Household) -> Orders:
         """Tonight's plan in the plug's own terms."""
         tonight = plan.sessions[0]
         history = RelayHistory(
@@ -118,7 +123,7 @@ class Controller:
             switch_ons=tuple(at for at in memory.switch_ons if at >= tonight.session.start),
             orders=memory.orders if isinstance(memory.orders, Switching) else None,
         )
-        return orders(now, tonight, memory.soc, history, self.household, self._delay)
+        return orders(now, tonight, memory.soc, history, house, self._delay)
 
     def _delay(self, block_start: datetime) -> float:
         """Seconds by which a block of the plan starts later, so that neighbours do not start as one."""
@@ -137,7 +142,7 @@ def orders(
     if household.capability.modulating:
         return _setpoint(now, tonight, household.capability)
     car = household.car
-    ceiling_kwh = (tonight.session.ceiling - tonight.soc_end) * car.capacity_kwh
+    ceiling_kwh = (tonight.session.ceiling - tonight.soc_end - soc.unsure(estimate)) * car.capacity_kwh
     need_kwh = (tonight.session.minimum - soc.cautious(estimate)) * car.capacity_kwh
     return realise(
         tonight,

@@ -115,6 +115,33 @@ class Nights:
     default_window: tuple[time, time] = (time(23, 0), time(6, 0))
     week: tuple[tuple[int, DayRule], ...] = ()
     """(weekday, 0 = Monday, of the session's end; its rule)."""
+    learn: bool = False
+    """Whether what was seen of the household replaces these times and the daily use, once enough of it was."""
+
+
+@dataclass(frozen=True, slots=True)
+class Range:
+    """A quantity by its mean, and by the quantiles below and above it that promises are made on."""
+
+    low: float
+    mean: float
+    high: float
+
+
+ByKind = tuple[Range, Range]
+"""On weekdays, and on Saturdays and Sundays."""
+
+
+@dataclass(frozen=True, slots=True)
+class Learned:
+    """What was learned of a household. None where too little was seen: then the configured figures count."""
+
+    plug_in_min: ByKind | None = None
+    """Minutes after the midnight before, local time, by the day the evening belongs to; 1500 is one in the night."""
+    plug_out_min: ByKind | None = None
+    """Minutes after the midnight before, by the day of the morning."""
+    use_kwh: ByKind | None = None
+    """Driven in a day, by that day."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,6 +188,8 @@ class Household:
     """What a current is reckoned with where the plug tells only the power."""
     end_value: bool = True
     """Whether energy left at the horizon's end counts for what it saves later."""
+    learned: Learned | None = None
+    """None: nothing yet, or not wanted."""
 
 
 # -- what was seen --------------------------------------------------------------------------------
@@ -534,6 +563,43 @@ class Flow:
 
 
 @dataclass(frozen=True, slots=True)
+class SeenNight:
+    """What was observed of one night and the day after it. None: that was not."""
+
+    day: date
+    """The local day on which it ended."""
+    plug_in_min: float | None = None
+    """Minutes after the local midnight before, see `Learned`."""
+    plug_out_min: float | None = None
+    use_kwh: float | None = None
+    """What the battery lost on `day` until the next night, in kWh."""
+
+
+@dataclass(frozen=True, slots=True)
+class Habits:
+    """The nights that were seen, and what the next one is being made of."""
+
+    nights: tuple[SeenNight, ...] = ()
+    """In order of their days; none older than a few months."""
+    arrived_at: datetime | None = None
+    """The last plug-in that was told as it happened."""
+    left_at: datetime | None = None
+    """The unplugging after it."""
+    level_kwh: float | None = None
+    """The battery by its last word and what flowed since, with nothing taken off for driving."""
+    full: bool = False
+    """That word was a car that had stopped taking power, and not a number."""
+    day: date | None = None
+    """The morning that the last word's night, or the day before it, leads to."""
+    used_kwh: float = 0.0
+    """What the battery lost since the morning before `day`."""
+    whole: bool = False
+    """That counts from a word of the night before on."""
+    late: bool = False
+    """The last word came when the car was home for the night."""
+
+
+@dataclass(frozen=True, slots=True)
 class Memory:
     """All that one tick leaves for the next, and for the next start of the daemon."""
 
@@ -556,6 +622,7 @@ class Memory:
     flow: Flow = field(default_factory=Flow)
     on_by: datetime | None = None
     """By when the timer of the off in force is over, where the plug's timer is fixed."""
+    habits: Habits = field(default_factory=Habits)
 
 
 @dataclass(frozen=True, slots=True)

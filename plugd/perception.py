@@ -3,7 +3,7 @@
 from dataclasses import replace
 from datetime import datetime, timedelta
 
-from plugd import flow, sessions, soc
+from plugd import flow, habits, sessions, soc
 from plugd.beat import next_plug_in
 from plugd.domain import Household, Memory, Mode, Press, Reading, Setpoint, SocEstimate
 
@@ -24,6 +24,7 @@ def fresh(now: datetime) -> Memory:
 
 def perceive(now: datetime, reading: Reading | None, memory: Memory, household: Household) -> Memory:
     """Memory after looking at the plug and the time. Without a reading only time passes."""
+    before = memory
     homecomings = sessions.drives(household, memory.overrides, memory.presence, memory.soc.driven_to, now)
     memory = replace(
         memory,
@@ -32,7 +33,7 @@ def perceive(now: datetime, reading: Reading | None, memory: Memory, household: 
     )
     if reading is not None:
         memory = _seen(now, reading, memory, household)
-    return _run_out(now, memory, household)
+    return _run_out(now, habits.observed(now, before, memory, household), household)
 
 
 def _seen(now: datetime, reading: Reading, memory: Memory, household: Household) -> Memory:

@@ -9,10 +9,12 @@ from math import sqrt
 from statistics import NormalDist
 from zoneinfo import ZoneInfo
 
-from plugd.domain import Car, DayRule, Household, Nights, Overrides, Presence, Session
+from plugd.domain import Car, DayRule, Household, Nights, Overrides, Presence, Range, Session
 from plugd.units import require_utc
 
 DAY = timedelta(days=1)
+SATURDAY = 5
+MIDNIGHT = time(0)
 MAX_AWAY_DAYS = 60
 """How far ahead a night at home is looked for when every night is marked away."""
 
@@ -31,9 +33,26 @@ def z_score(confidence: float) -> float:
     return float(NormalDist().inv_cdf(confidence))
 
 
+def kind(day: date) -> int:
+    """What habits differ by: 0 on weekdays, 1 on Saturdays and Sundays."""
+    return int(day.weekday() >= SATURDAY)
+
+
 def cautious_use_kwh(car: Car, confidence: float, days: int = 1) -> float:
     """The quantile of what is driven over `days` days (paper III-C: 11.28 kWh for one, at 0.98)."""
     return car.daily_use_kwh * days + z_score(confidence) * car.daily_use_sd_kwh * sqrt(days)
+
+
+def use_after_kwh(morning: date, days: int, household: Household) -> float:
+    """The same for the `days` days from a morning on, each as that kind of day is where that was learned.
+
+    Means add up, and what caution adds to them adds up as independent spreads do.
+    """
+    learned = household.learned.use_kwh if household.learned else None
+    if learned is None:
+        return cautious_use_kwh(household.car, household.nights.confidence, days)
+    each = [learned[kind(morning + DAY * k)] for k in range(days)]
+    return sum(use.mean for use in each) + sqrt(sum((use.high - use.mean) ** 2 for use in each))
 
 
 def to_utc(day: date, clock: time, zone: ZoneInfo) -> datetime:
@@ -77,29 +96,61 @@ def _window(day: date, household: Household, overrides: Overrides) -> Window | N
     rule = rule_of(day, nights, overrides)
     if rule.away:
         return None
-    z = z_score(nights.confidence)
-    overnight = 1 if nights.plug_in >= nights.plug_out else 0
-    arrival = day - DAY * overnight
+    arrival = evening_of(day, nights)
 
     def local(base: date, clock: time, minutes: float) -> datetime:
         days, moved = shifted(clock, minutes)
         return to_utc(base + DAY * days, moved, zone)
 
-    start = local(arrival, nights.plug_in, z * nights.plug_in_sd_min)
-    end = local(day, nights.plug_out, -z * nights.plug_out_sd_min)
+    plug_in, plug_out = _spreads(arrival, day, household)
+    start = local(arrival, MIDNIGHT, plug_in.high)
+    end = local(day, MIDNIGHT, plug_out.low)
     if rule.ready_by is not None:
         end = to_utc(day, rule.ready_by, zone)
     if end <= start:  # a short stay with a wide spread: better the usual times than no session at all
-        start = local(arrival, nights.plug_in, 0.0)
-        end = end if rule.ready_by is not None else local(day, nights.plug_out, 0.0)
+        start = local(arrival, MIDNIGHT, plug_in.mean)
+        end = end if rule.ready_by is not None else local(day, MIDNIGHT, plug_out.mean)
     if end <= start:
         return None
     minimum = rule.minimum if rule.minimum is not None else nights.minimum
     return Window(
-        session=Session(start, end, minimum, cautious_use_kwh(car, nights.confidence), max(car.soc_max, minimum)),
-        early_plug_in=local(arrival, nights.plug_in, -z * nights.plug_in_sd_min),
-        late_plug_out=max(end, local(day, nights.plug_out, z * nights.plug_out_sd_min)),
+        session=Session(start, end, minimum, use_after_kwh(day, 1, household), max(car.soc_max, minimum)),
+        early_plug_in=local(arrival, MIDNIGHT, plug_in.low),
+        late_plug_out=max(end, local(day, MIDNIGHT, plug_out.high)),
     )
+
+
+def evening_of(day: date, nights: Nights) -> date:
+    """The local day on which the car comes home for the night that ends on `day`."""
+    return day - DAY if nights.plug_in >= nights.plug_out else day
+
+
+def configured(clock: time, sd_min: float, confidence: float) -> Range:
+    """When the car comes or goes, as configured, in minutes after midnight."""
+    mean_min, beyond_min = minutes_of(clock), z_score(confidence) * sd_min
+    return Range(mean_min - beyond_min, mean_min, mean_min + beyond_min)
+
+
+def minutes_of(clock: time) -> float:
+    """A clock time as minutes after midnight."""
+    return clock.hour * 60 + clock.minute + clock.second / 60
+
+
+def _spreads(evening: date, morning: date, household: Household) -> tuple[Range, Range]:
+    """When the car comes home on that evening and leaves on that morning.
+
+    What was learned moves the promised window, but never narrows the time in which the car may be here.
+    """
+    nights, learned = household.nights, household.learned
+    plug_in = configured(nights.plug_in, nights.plug_in_sd_min, nights.confidence)
+    plug_out = configured(nights.plug_out, nights.plug_out_sd_min, nights.confidence)
+    if learned is not None and learned.plug_in_min is not None:
+        seen = learned.plug_in_min[kind(evening)]
+        plug_in = Range(min(plug_in.low, seen.low), seen.mean, seen.high)
+    if learned is not None and learned.plug_out_min is not None:
+        seen = learned.plug_out_min[kind(morning)]
+        plug_out = Range(seen.low, seen.mean, max(plug_out.high, seen.high))
+    return plug_in, plug_out
 
 
 def windows(household: Household, overrides: Overrides, since: datetime) -> Iterator[Window]:
@@ -161,7 +212,7 @@ def expected(
 
     Each one's daily use covers the days to the next session's end, so a night away counts double.
     """
-    previous = None
+    previous, zone = None, ZoneInfo(household.timezone)
     for window in windows(household, overrides, now - 3 * DAY):
         if window.session.end > now:
             break
@@ -172,8 +223,8 @@ def expected(
     found = []
     for index, window in enumerate(coming[:sessions]):
         days = _days_between(window, coming[index + 1], household) if index + 1 < len(coming) else 1
-        use_kwh = cautious_use_kwh(household.car, household.nights.confidence, days)
-        found.append(replace(window.session, daily_use_kwh=use_kwh))
+        morning = window.session.end.astimezone(zone).date()
+        found.append(replace(window.session, daily_use_kwh=use_after_kwh(morning, days, household)))
     return tuple(found)
 
 

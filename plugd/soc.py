@@ -10,6 +10,8 @@ CAUTION_SD = 2.05
 """Standard deviations below the mean that promises are made on: one night in fifty."""
 UNKNOWN_MEAN, UNKNOWN_SD = 0.5, 0.2
 """Before anybody said anything: promises count on 9 %."""
+AS_KNOWN = 0.03
+"""Between mean and promise after a night that began with a told SOC. Not worth a lower ceiling."""
 ASSUMED = "assumed"
 TOLD_SD = 0.005
 FULL_SD = 0.02
@@ -40,6 +42,11 @@ def unknown(now: datetime) -> SocEstimate:
 def cautious(estimate: SocEstimate) -> float:
     """The SOC that promises are made on, as a fraction."""
     return within(0.0, estimate.mean - CAUTION_SD * estimate.sd, 1.0)
+
+
+def unsure(estimate: SocEstimate) -> float:
+    """How far the mean lies above what promises are made on, beyond what no battery is known better, as a fraction."""
+    return max(0.0, estimate.mean - cautious(estimate) - AS_KNOWN)
 
 
 def told(estimate: SocEstimate, soc: float, now: datetime, source: str) -> SocEstimate:

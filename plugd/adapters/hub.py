@@ -7,7 +7,7 @@ from datetime import datetime, timedelta
 from typing import Any
 from zoneinfo import ZoneInfo
 
-from plugd import __version__, reasons, remedies, sessions, soc
+from plugd import __version__, habits, reasons, remedies, sessions, soc
 from plugd.adapters import homeassistant
 from plugd.adapters.mqtt import Message, MqttConnection, Retained
 from plugd.command_words import MAX_BYTES, WEEKDAYS, NoSuchKey, NotKnown, Refused, car_soc, parse
@@ -244,6 +244,7 @@ def _morning_soc(tonight: SessionPlan, now: datetime, memory: Memory, household:
 def state(decision: Decision, reading: Reading | None, household: Household) -> dict[str, Any]:
     """The retained state document. Absent knowledge is null, never 0."""
     memory, now = decision.memory, decision.at
+    house = habits.informed(household, memory.habits)
     tonight = memory.plan.sessions[0] if memory.plan and memory.plan.sessions else None
     outranked = decision.status in (Status.OFF, Status.DISCONNECTED, Status.BOOSTING)
     orders = memory.orders if isinstance(memory.orders, Switching) and not outranked else None
@@ -275,11 +276,12 @@ def state(decision: Decision, reading: Reading | None, household: Household) -> 
         "next_stop": iso(stop) if stop else None,
         "ready_at": iso(max(ends)) if ends and not outranked else None,
         "ready_by": iso(tonight.session.end) if tonight else None,
-        "morning_soc_pct": to_pct(_morning_soc(tonight, now, memory, household)) if tonight else None,
+        "morning_soc_pct": to_pct(_morning_soc(tonight, now, memory, house)) if tonight else None,
         "minimum_pct": to_pct(tonight.session.minimum) if tonight else None,
         "shortfall_kwh": round(tonight.shortfall_kwh, 3) if tonight else None,
-        "at_risk": reasons.at_risk(now, memory, household, decision.faults),
+        "at_risk": reasons.at_risk(now, memory, house, decision.faults),
         "settings": settings(memory.overrides, household),
+        "learned": habits.words(household, memory.habits),
         "saved_g_today": round(decision.saved.today_g, 1) if decision.saved else None,
         "saved_g_total": round(decision.saved.total_g, 1) if decision.saved else None,
         "switch_ons_today": len(today),

@@ -121,6 +121,7 @@ def household(config: Config, capability: Capability) -> Household:
             confidence=nights.confidence,
             minimum=from_pct(nights.morning_minimum_pct),
             default_window=nights.default_window,
+            learn=nights.learn,
             week=tuple(sorted((WEEKDAYS.index(name), _rule(day)) for name, day in nights.week.items())),
         ),
         relay=RelayRules(

@@ -35,6 +35,7 @@ class Part:
     session: Session
     pieces: tuple[Piece, ...]
     minimum_kwh: float
+    ceiling_kwh: float
     daily_use_kwh: float
     slots: tuple[datetime, ...]
     """The half hour that holds each piece."""
@@ -42,12 +43,12 @@ class Part:
     limit_kw: Series
 
 
-def _part(session: Session, found: tuple[Piece, ...], minimum_kwh: float, daily_use_kwh: float) -> Part:
-    """A row with its columns in the solver's terms."""
+def _part(session: Session, found: tuple[Piece, ...], bounds_kwh: tuple[float, float], daily_use_kwh: float) -> Part:
+    """A row with its columns in the solver's terms. `bounds_kwh`: its minimum and its ceiling."""
     return Part(
         session,
         found,
-        minimum_kwh,
+        *bounds_kwh,
         daily_use_kwh,
         slots=tuple(slot_start(p.start) for p in found),
         slot_h=tuple(hours(p.end - p.start) for p in found),
@@ -70,11 +71,18 @@ def _derated(found: tuple[Piece, ...], since: datetime) -> tuple[Piece, ...]:
 
 
 def _tonight(
-    session: Session, now: datetime, energy_kwh: float, power_kw: float, household: Household
+    session: Session, now: datetime, energy_kwh: float, unsure_kwh: float, power_kw: float, household: Household
 ) -> tuple[Part, ...]:
-    """The first session, with its minimum due before the guard would act (design: deadline)."""
+    """The first session, with its minimum due before the guard would act (design: deadline).
+
+    Its minimum is held by the cautious SOC, its ceiling by the mean, to `soc.AS_KNOWN`: the battery is not to be fuller
+    because little is known of it. What must be there in the morning or on the next arrival comes first.
+    """
     car = household.car
     minimum_kwh = session.minimum * car.capacity_kwh
+    most_kwh = session.ceiling * car.capacity_kwh
+    must_kwh = max(minimum_kwh, car.soc_min * car.capacity_kwh + session.daily_use_kwh)
+    ceiling_kwh = min(most_kwh, max(most_kwh - unsure_kwh, must_kwh))
     if 0.0 < minimum_kwh - energy_kwh < MET_KWH:
         minimum_kwh = energy_kwh
     need_kwh = max(0.0, taper.flat_kwh(car, energy_kwh, minimum_kwh))
@@ -86,20 +94,29 @@ def _tonight(
     if need_kwh > 0.0 and early:
         before, after = _derated(before, deadline - stretch), _derated(after, deadline)
     passed = now >= deadline or deadline == session.start
-    whole = _part(session, after or before, minimum_kwh, session.daily_use_kwh)
+    whole = _part(session, after or before, (minimum_kwh, ceiling_kwh), session.daily_use_kwh)
     if not (before and after):  # without a margin there is one row, and the day's driving comes after it
         return (whole,)
-    return _part(session, before, 0.0 if passed else minimum_kwh, 0.0), whole
+    return _part(session, before, (0.0 if passed else minimum_kwh, ceiling_kwh), 0.0), whole
 
 
 def layout(
-    sessions: tuple[Session, ...], now: datetime, energy_kwh: float, power_kw: float, household: Household
+    sessions: tuple[Session, ...],
+    now: datetime,
+    energy_kwh: float,
+    power_kw: float,
+    household: Household,
+    *,
+    unsure_kwh: float = 0.0,
 ) -> tuple[Part, ...]:
-    """The rows and columns for these sessions. `energy_kwh`: in the battery; `power_kw`: what the car takes."""
+    """The rows and columns for these sessions. `energy_kwh`: in the battery; `power_kw`: what the car takes.
+
+    `unsure_kwh`: how much more than `energy_kwh` the battery may hold (`soc.unsure`).
+    """
     parts: list[Part] = []
     for session in sessions:
         if not parts:
-            parts.extend(_tonight(session, now, energy_kwh, power_kw, household))
+            parts.extend(_tonight(session, now, energy_kwh, unsure_kwh, power_kw, household))
         else:
             parts.append(_later(session, power_kw, household.car.capacity_kwh))
     return tuple(parts)
@@ -109,7 +126,8 @@ def layout(
 def _later(session: Session, power_kw: float, capacity_kwh: float) -> Part:
     """A session that has not begun: the same at every tick before it."""
     found = tuple(_cut(session.start, session.end, session.start, power_kw))
-    return _part(session, found, session.minimum * capacity_kwh, session.daily_use_kwh)
+    bounds_kwh = (session.minimum * capacity_kwh, session.ceiling * capacity_kwh)
+    return _part(session, found, bounds_kwh, session.daily_use_kwh)
 
 
 def problem(
@@ -158,7 +176,7 @@ def stated(
                 slot_h=part.slot_h,
                 power_max_kw=part.limit_kw,
                 minimum_kwh=part.minimum_kwh,
-                ceiling_kwh=part.session.ceiling * car.capacity_kwh,
+                ceiling_kwh=part.ceiling_kwh,
                 daily_use_kwh=part.daily_use_kwh,
                 # A car seen to take less than the charger's least is no reason to give it nothing.
                 power_min_kw=min(

@@ -6,13 +6,13 @@ connected nothing is planned. What a strategy plans with is the daemon's own; wh
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from itertools import pairwise, takewhile
 from statistics import fmean
 
-from plugd import sessions, soc
-from plugd.domain import Household, Orders, Overrides, Presence, Session, Setpoint, SocEstimate, Switch
+from plugd import habits, sessions, soc
+from plugd.domain import Habits, Household, Orders, Overrides, Presence, Session, Setpoint, SocEstimate, Switch
 from plugd.study.measured import Measured
 from plugd.study.strategies import Strategy
 from plugd.study.world import Battery, Driver, Morning, Stay
@@ -55,6 +55,8 @@ class Night:
     switch_ons: int
     driven_kwh: float
     """From the battery, after it."""
+    left_short: bool
+    """It left under a minimum that was reachable until then, whenever the session was expected to end."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,19 +102,27 @@ class Account:
         return sum(night.morning.missed for night in self.nights)
 
     @property
+    def left_short(self) -> int:
+        """Mornings on which the car left under a minimum that was reachable, whenever it left."""
+        return sum(night.left_short for night in self.nights)
+
+    @property
     def switch_ons(self) -> int:
         """From no power to some."""
         return sum(night.switch_ons for night in self.nights)
 
 
-def stays(world: World, known_until: datetime) -> Iterator[tuple[Stay, tuple[Session, ...]]]:
-    """The driver's stays, each with the sessions expected at its plug-in, as far as the intensity is known."""
-    household = world.household
-    for stay in takewhile(lambda s: s.arrival < world.end, world.driver.stays(world.start)):
-        coming = sessions.expected(stay.arrival, household, Overrides(), Presence(), household.nights.horizon)
-        known = tuple(session for session in coming if session.end <= known_until)
-        if stay.arrival >= world.start and max(stay.departure, coming[0].end) <= min(world.end, known_until):
-            yield stay, known
+def stays(world: World) -> Iterator[Stay]:
+    """The driver's stays."""
+    return takewhile(lambda s: s.arrival < world.end, world.driver.stays(world.start))
+
+
+def expected(stay: Stay, household: Household, world: World, known_until: datetime) -> tuple[Session, ...]:
+    """The sessions expected at a plug-in, as far as the intensity is known; none where the stay does not count."""
+    coming = sessions.expected(stay.arrival, household, Overrides(), Presence(), household.nights.horizon)
+    known = tuple(session for session in coming if session.end <= known_until)
+    counts = stay.arrival >= world.start and max(stay.departure, coming[0].end) <= min(world.end, known_until)
+    return known if counts else ()
 
 
 @dataclass(slots=True)
@@ -130,7 +140,7 @@ class Loop:
         battery, session, first = self.battery, coming[0], len(self.flows)
         arrival_soc = at_session_end = battery.soc
         estimate = soc.told(soc.unknown(stay.arrival), arrival_soc, stay.arrival, "car")
-        self.strategy.plugged_in(stay.arrival, coming)
+        self.strategy.plugged_in(stay.arrival, coming, self.household)
         now, power_kw, switch_ons = stay.arrival, 0.0, 0
         while now < stay.departure:
             orders = self.strategy.orders(now, estimate)
@@ -143,17 +153,18 @@ class Loop:
             now = until
             if now <= session.end:
                 at_session_end = battery.soc
-        flows = self.flows[first:]
+        flows, left_soc, left = self.flows[first:], battery.soc, replace(session, end=stay.departure)
         return Night(
             arrival=stay.arrival,
             departure=stay.departure,
             arrival_soc=arrival_soc,
-            departure_soc=battery.soc,
+            departure_soc=left_soc,
             morning=self._morning(stay, session, arrival_soc, at_session_end),
             charged_kwh=sum(flow.kwh for flow in flows),
             carbon_g=sum(flow.kwh * self.found.actual[self.found.index(flow.start)] for flow in flows),
             switch_ons=switch_ons,
             driven_kwh=battery.drive(stay.use_kwh),
+            left_short=self._morning(stay, left, arrival_soc, left_soc).missed,
         )
 
     def _flow(self, start: datetime, end: datetime, offered_kw: float, estimate: SocEstimate) -> SocEstimate:
@@ -186,12 +197,26 @@ def spells(
         yield a.at, b.at, relay_kw if a.on else 0.0
 
 
+def _lived(world: World, loop: Loop) -> Iterator[Night]:
+    """The nights of a world, each with what was learned from those before it."""
+    seen = Habits()
+    for stay in stays(world):
+        loop.household = habits.informed(world.household, seen)
+        coming = expected(stay, loop.household, world, loop.found.end)
+        if not coming:
+            continue
+        night = loop.night(stay, coming)
+        yield night
+        found = habits.nights_of(stay.arrival, stay.departure, world.household)
+        seen = habits.kept(seen, *(replace(one, use_kwh=night.driven_kwh) for one in found))
+
+
 def simulate(world: World, strategy: Strategy, found: Measured) -> Account:
     """All stays of a world under a strategy."""
     car = world.household.car
     battery = Battery(car.capacity_kwh, world.start_soc * car.capacity_kwh, car.efficiency)
     loop = Loop(world.household, strategy, found, battery)
-    nights = tuple(loop.night(stay, coming) for stay, coming in stays(world, found.end))
+    nights = tuple(_lived(world, loop))
     simulated = found.actual[found.index(world.start) : found.index(world.end)]
     return Account(
         nights,

@@ -30,8 +30,8 @@ SOON = timedelta(minutes=1)
 class Strategy(Protocol):
     """Charges one car. It is asked at plug-in, when what it last said runs out, and at the session's end."""
 
-    def plugged_in(self, now: datetime, coming: tuple[Session, ...]) -> None:
-        """A stay begins. `coming`: the sessions expected from now on, as many as it plans."""
+    def plugged_in(self, now: datetime, coming: tuple[Session, ...], household: Household) -> None:
+        """A stay begins. `coming`: the sessions expected from now on; `household`: with what was learned of it."""
 
     def orders(self, now: datetime, estimate: SocEstimate) -> Orders:
         """What the plug is told until `until`."""
@@ -43,7 +43,7 @@ class Uncontrolled:
 
     household: Household
 
-    def plugged_in(self, now: datetime, coming: tuple[Session, ...]) -> None:
+    def plugged_in(self, now: datetime, coming: tuple[Session, ...], household: Household) -> None:
         """Nothing to prepare."""
 
     def orders(self, now: datetime, estimate: SocEstimate) -> Orders:
@@ -58,7 +58,7 @@ class LatestStart:
     household: Household
     end: datetime | None = None
 
-    def plugged_in(self, now: datetime, coming: tuple[Session, ...]) -> None:
+    def plugged_in(self, now: datetime, coming: tuple[Session, ...], household: Household) -> None:
         """Remember when to be ready."""
         self.end = coming[0].end
 
@@ -101,9 +101,9 @@ class Planned:
     relay: RelayHistory = field(default_factory=RelayHistory)
     told: tuple[datetime, Switching] | None = None
 
-    def plugged_in(self, now: datetime, coming: tuple[Session, ...]) -> None:
+    def plugged_in(self, now: datetime, coming: tuple[Session, ...], household: Household) -> None:
         """Lay out the nights: within a stay only their intensity changes."""
-        self.coming = self.shape(coming)
+        self.household, self.coming = household, self.shape(coming)
         self.slots = tuple(slot_start(first) for s in self.coming for first, _ in pieces(s.start, s.end))
         self.worth, self.told, self.relay = None, None, RelayHistory()
 
@@ -150,8 +150,8 @@ class Planned:
             history = self.forecasts.history(now)
             worth = nights.end_worth(self.coming, g_per_kwh, history, house, power_kw)
             self.worth = worth if len(history) >= SETTLED else None
-        energy_kwh = soc.cautious(estimate) * house.car.capacity_kwh
-        parts = nights.layout(self.coming, now, energy_kwh, power_kw, house)
+        energy_kwh, unsure_kwh = (of(estimate) * house.car.capacity_kwh for of in (soc.cautious, soc.unsure))
+        parts = nights.layout(self.coming, now, energy_kwh, power_kw, house, unsure_kwh=unsure_kwh)
         asked = nights.stated(parts, g_per_kwh, energy_kwh, self.plan, house, worth)
         stated, solution = taper.solve(self.solver, hold.held(asked, parts, now, house), house.car)
         stated, solution = hold.let_go(asked, stated, solution)

@@ -5,7 +5,7 @@ from datetime import datetime, timedelta
 from itertools import pairwise
 from zoneinfo import ZoneInfo
 
-from plugd import sessions, soc
+from plugd import habits, sessions, soc
 from plugd.charts import Frame, Point, band, box, ceiling, days, line, rule, scale, steps, svg, text
 from plugd.domain import SlotSource
 from plugd.units import HALF_HOUR, hours
@@ -120,7 +120,8 @@ def _battery(snapshot: Snapshot, frame: Frame) -> Iterator[str]:
 
 def expected(snapshot: Snapshot) -> Iterator[Point]:
     """The battery in percent as planned, from now on: it fills as planned and is driven by the usual day."""
-    home, memory, now = snapshot.household, snapshot.decision.memory, snapshot.decision.at
+    memory, now = snapshot.decision.memory, snapshot.decision.at
+    home = habits.informed(snapshot.household, memory.habits)
     car, soc_now = home.car, memory.soc.mean
     yield now, 100.0 * soc_now
     previous: datetime | None = None

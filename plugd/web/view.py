@@ -176,6 +176,7 @@ def live(snapshot: Snapshot, state: dict[str, Any], scores: tuple[LeadScore, ...
         "tiles": tiles(snapshot, state),
         "drawing": drawings(snapshot, says(snapshot)),
         "forecast": forecast_words(snapshot),
+        "learned": state["learned"],
         "nights": [night_line(night) for night in nights[-SHOWN_NIGHTS:][::-1]],
         "month": ledger.total(nights),
         "scores": scores,

@@ -45,7 +45,7 @@ class Scripted:
 
     said: Iterator[tuple[float, float, bool]]
 
-    def plugged_in(self, now: datetime, coming: tuple[Session, ...]) -> None:
+    def plugged_in(self, now: datetime, coming: tuple[Session, ...], household: Household) -> None:
         """Nothing to prepare."""
 
     def orders(self, now: datetime, estimate: SocEstimate) -> Orders:
@@ -84,8 +84,8 @@ class EveryHalfHour:
     inner: Strategy
     asked: int = 0
 
-    def plugged_in(self, now: datetime, coming: tuple[Session, ...]) -> None:
-        self.inner.plugged_in(now, coming)
+    def plugged_in(self, now: datetime, coming: tuple[Session, ...], household: Household) -> None:
+        self.inner.plugged_in(now, coming, household)
 
     def orders(self, now: datetime, estimate: SocEstimate) -> Orders:
         self.asked += 1

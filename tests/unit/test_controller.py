@@ -5,6 +5,7 @@ from datetime import datetime
 
 import pytest
 
+from plugd import soc
 from plugd.controller import Controller
 from plugd.domain import (
     DayRule,
@@ -71,6 +72,32 @@ def test_the_plan_is_for_the_clean_hours_and_becomes_the_relays_orders() -> None
     assert ons(memory) == [(at(2, day=3), True), (at(5, day=3), False)]
     assert memory.orders
     assert memory.orders.until == READY_BY
+
+
+CLEAN_TONIGHT = Observation(forecast=forecast(NIGHT, level=lambda start: 10.0 if start < READY_BY else 500.0))
+
+
+@pytest.mark.parametrize("household", [HOME, CHARGER])
+@pytest.mark.parametrize("sd", [0.005, 0.05, 0.1])
+def test_the_battery_is_not_filled_beyond_its_ceiling_because_little_is_known_of_it(
+    household: Household, sd: float
+) -> None:
+    memory = tick(knows(0.6, sd=sd), household, CLEAN_TONIGHT)
+    assert memory.plan
+    reached = 0.6 + memory.plan.sessions[0].energy_kwh * household.car.efficiency / household.car.capacity_kwh
+    assert reached <= 0.8 + soc.AS_KNOWN + 1e-6
+    assert sd > 0.05 or reached >= 0.8
+    if household is HOME:
+        # In the stretch that the guard could claim a relay gives more than is counted on.
+        flows_kwh = on_h(memory) * household.capability.power_max_kw * household.car.efficiency
+        assert 0.6 + flows_kwh / household.car.capacity_kwh <= 0.8 + soc.AS_KNOWN + 0.01
+
+
+def test_the_minimum_comes_before_the_ceiling() -> None:
+    memory = tick(knows(0.6, sd=0.2), CHARGER, CLEAN_TONIGHT)
+    assert memory.plan
+    assert memory.plan.sessions[0].soc_end == pytest.approx(0.5)
+    assert memory.plan.sessions[0].shortfall_kwh == 0.0
 
 
 def test_commands_count_in_the_tick_they_came_with() -> None:
