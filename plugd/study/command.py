@@ -54,6 +54,7 @@ def _arguments(parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
     past.add_argument(
         "--to", dest="until", type=day, metavar="DATE", help="not included; default: the end of each file"
     )
+    _learning(past, "on")
     shared(past)
     past.set_defaults(does=_backtest)
     experiments.add(parsers)
@@ -73,9 +74,15 @@ def _common(parser: argparse.ArgumentParser, *, strategies: str, noise: Noise, e
         help=f"nights planned together (1 to 7), {', '.join(NAMED)} (default {strategies})")  # fmt: skip
     add("--end-value", choices=("on", "off"), default=end_value,
         help=f"whether energy left at the horizon's end is worth something (default {end_value})")  # fmt: skip
+    _learning(parser, "off")
     add("--solver", choices=("exact", "osqp"), default="exact")
     add("--seeds", type=positive, default=seeds, metavar="N", help=f"default {seeds}")
     shared(parser)
+
+
+def _learning(parser: argparse.ArgumentParser, default: str) -> None:
+    parser.add_argument("--learn", choices=("on", "off"), default=default,
+                        help=f"whether the driver's times and use are learned (default {default})")  # fmt: skip
 
 
 def _strategies(text: str) -> tuple[Choice, ...]:
@@ -94,7 +101,8 @@ def _strategies(text: str) -> tuple[Choice, ...]:
 
 def _terms(options: argparse.Namespace) -> Terms:
     growth = growth_per_half_hour(options.growth_from) if options.growth_from else PAPER_GROWTH
-    return Terms(Noise(options.noise), options.end_value == "on", options.solver, options.seeds, growth)
+    learn = options.learn == "on"
+    return Terms(Noise(options.noise), options.end_value == "on", options.solver, options.seeds, growth, learn)
 
 
 def _table(options: argparse.Namespace) -> int:
@@ -179,7 +187,10 @@ def _backtest(options: argparse.Namespace) -> int:
     for path in options.data:
         issues = issued.load(path)
         lists[str(path)] = backtest.runs(
-            issues, *measured.between(issues.found, options.since, options.until), options.horizons
+            issues,
+            *measured.between(issues.found, options.since, options.until),
+            options.horizons,
+            learn=options.learn == "on",
         )
     outcomes = performed([run for runs in lists.values() for run in runs], options)
     left = iter(outcomes)

@@ -101,9 +101,10 @@ def paper_run(
     solver: str = "exact",
     growth: float = PAPER_GROWTH,
     household: Household = PAPER,
+    learn: bool = False,
 ) -> Run:
-    """A strategy in the paper's world, or in that of another household."""
-    house = replace(household, nights=replace(household.nights, horizon=horizon or 1), end_value=end_value)
+    """A strategy in the paper's world, or in that of another household. `learn`: the driver's habits."""
+    house = replace(household, nights=replace(household.nights, horizon=horizon or 1, learn=learn), end_value=end_value)
     noise = Noise.NONE if name == "perfect" else noise
     world = World(house, Driver(timezone=house.timezone, seed=seed), start, end)
     return Run(name, world, found, noise, growth, solver)

@@ -41,6 +41,8 @@ class Terms:
     solver: str = "exact"
     seeds: int = 5
     growth: float = PAPER_GROWTH
+    learn: bool = False
+    """Whether planning learns the driver; perfect foresight never does."""
 
 
 def rows(chosen: Iterable[Choice]) -> tuple[Choice, ...]:
@@ -65,6 +67,7 @@ def runs(found: Measured, start: datetime, end: datetime, chosen: Iterable[Choic
             end_value=terms.end_value,
             solver=terms.solver,
             growth=terms.growth,
+            learn=terms.learn and choice.name == "mpc",
         )
         for choice in rows(chosen)
         for seed in range(terms.seeds)

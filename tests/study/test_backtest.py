@@ -142,6 +142,9 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
         saved, possible = file["uncontrolled"] - row["carbon_g_per_kwh"], file["uncontrolled"] - file["perfect"]
         assert row["captured_pct"] == pytest.approx(100 * saved / possible, abs=0.05)
     assert [mean["captured_pct"] for mean in found["means"]] == [row["captured_pct"] for row in file["strategies"]]
+    # Four weeks have to be seen before anything is learned: here it changes nothing.
+    assert main([*asked, "--json", "--workers", "1", "--learn", "off"]) == 0
+    assert json.loads(capsys.readouterr().out)["files"] == found["files"]
     with (out / "backtest.csv").open(newline="") as rows:
         assert [row["horizon"] for row in csv.DictReader(rows)] == ["1", "4"]
 

@@ -2,13 +2,14 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime, time, timedelta
 from itertools import count
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from plugd import habits
 from plugd.domain import Capability, Household, Nights, Orders, Session, Setpoint, SocEstimate, Switch, Switching
 from plugd.planner.exact import Exact
 from plugd.study.engine import Account, World, simulate
@@ -219,3 +220,25 @@ def test_a_relay_only_switches() -> None:
     assert all(night.switch_ons <= 6 for night in account.nights)
     modulating = simulated(run("mpc", 14, household=replace(PAPER, capability=Capability(3.6, modulating=True))))
     assert account.carbon_g_per_kwh == pytest.approx(modulating.carbon_g_per_kwh, rel=0.03)
+
+
+def test_a_regular_driver_is_learned_after_four_weeks_and_leaves_no_morning_short() -> None:
+    days = 56
+    found = measured("eight weeks", synthetic_year(days=days + 5))
+    regular = Driver("UTC", time(17, 30), time(10), sd_h=0.3, use_kwh=4.0, use_sd_kwh=0.5)
+
+    def driven(learn: bool) -> Account:
+        asked = paper_run("mpc", found, START, START + timedelta(days=days), horizon=2, noise=Noise.NONE, learn=learn)
+        return simulated(replace(asked, world=replace(asked.world, driver=regular)))
+
+    learned, configured = driven(learn=True), driven(learn=False)
+    least = habits.LEAST_NIGHTS
+    assert learned.nights[:least] == configured.nights[:least]
+    assert learned.nights[least:] != configured.nights[least:]
+    ends = [night.morning.end.time() for night in learned.nights]
+    assert ends[0] < time(7)
+    assert ends[-1] > time(8)
+    assert learned.missed == learned.left_short == 0
+    assert learned.carbon_g_per_kwh is not None
+    assert configured.carbon_g_per_kwh is not None
+    assert learned.carbon_g_per_kwh < configured.carbon_g_per_kwh
