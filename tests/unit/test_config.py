@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from plugd.config import Config, household, known_keys, load, parse, password, token
-from plugd.domain import Capability, DayRule, Household
+from plugd.domain import Capability, DayRule, Household, Nights
 from plugd.errors import ConfigError
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "etc" / "plugd.toml"
@@ -81,7 +81,8 @@ def test_only_the_topic_of_the_plug_must_be_given() -> None:
 
 def test_defaults_are_the_household_of_the_paper() -> None:
     capability = Capability(power_max_kw=2.3, dead_man=True)
-    assert household(parse(PLUG), capability) == Household(capability=capability, max_current_a=10.5)
+    learning = Household(nights=Nights(learn=True), capability=capability, max_current_a=10.5)
+    assert household(parse(PLUG), capability) == learning
 
 
 def test_percent_minutes_and_weekdays_become_what_the_core_works_with() -> None:
