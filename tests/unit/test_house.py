@@ -209,7 +209,19 @@ SINGLE = (
     "sessions",
     "series",
 )
-CORE = "reasons", "commands", "command_words", "perception", "beat", "flow", "habits", "ledger", "remedies", "score", "charts"
+CORE = (
+    "reasons",
+    "commands",
+    "command_words",
+    "perception",
+    "beat",
+    "flow",
+    "habits",
+    "ledger",
+    "remedies",
+    "score",
+    "charts",
+)
 PACKAGED = "config.loading", "adapters.store", "planner.qp", "planner.exact", "study.world"
 MODULES = ("__main__", *SINGLE, *CORE, *PACKAGED, "domain", "units", "errors")
 
