@@ -5,16 +5,14 @@ from datetime import date, datetime, timedelta
 
 from plugd import ledger
 from plugd.domain import Decision, Household, Memory, Reading, Savings
-from plugd.errors import ForecastError
 from plugd.ledger import HalfHour, Night
 from plugd.outlook import typical_g_per_kwh
-from plugd.ports import Books, MeasuredSource
+from plugd.ports import Books
 from plugd.units import HALF_HOUR, slot_start
 
 LONGEST_GAP = timedelta(days=7)
 """What plugd slept through is entered by the half hour up to this; after longer it begins anew."""
 SETTLE_RETRY = timedelta(hours=6)
-LONGEST_ASKED = timedelta(days=13)
 KEPT_NIGHTS = 35
 """Nights at hand; older ones count in the total only."""
 
@@ -24,7 +22,6 @@ class Book:
     """One household's ledger. `note` is called at every step; it writes once a half hour."""
 
     books: Books
-    source: MeasuredSource
     household: Household
     rows: list[HalfHour] = field(default_factory=list)
     """The half hours at hand, in order of time; the last one is open."""
@@ -33,7 +30,7 @@ class Book:
     older_g: float = 0.0
     """Saved in nights that are no longer at hand."""
     loaded: bool = False
-    asked_at: datetime | None = None
+    looked_at: datetime | None = None
     _relay_on: bool | None = None
     _meter_kwh: float | None = None
     _metered_at: datetime | None = None
@@ -56,17 +53,11 @@ class Book:
     def settle(self, now: datetime) -> None:
         """Make final what was measured a day ago. Raises StoreError."""
         pending = [row for row in self.rows if ledger.may_settle(row, now)]
-        due = self.asked_at is None or not timedelta(0) <= now - self.asked_at < SETTLE_RETRY
+        due = self.looked_at is None or not timedelta(0) <= now - self.looked_at < SETTLE_RETRY
         if not pending or not due:
             return
-        self.asked_at = now
-        start = pending[0].start
-        try:
-            measured = self.source.measured(start, min(pending[-1].start + HALF_HOUR, start + LONGEST_ASKED))
-        except ForecastError:
-            measured = ()  # asked again later: the forecast's own fault says what is wrong with the network
-        self.books.measure(self.source.region, measured)
-        known = {value.start: value.g_per_kwh for value in measured}
+        self.looked_at = now
+        known = {value.start: value.g_per_kwh for value in self.books.measured(pending[0].start)}
         for row in pending:
             self._enter(ledger.settled(row, known.get(row.start), now))
         self._write()

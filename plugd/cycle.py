@@ -1,8 +1,9 @@
 """Fetch, observe, decide, apply, save, publish. Every failed port becomes a None and a fault; nothing else stops."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from datetime import datetime, timedelta
+from datetime import datetime
+from functools import partial
 from typing import TypeVar
 
 from plugd import commands, flow
@@ -24,44 +25,19 @@ from plugd.domain import (
     Setpoint,
     Wanted,
 )
-from plugd.errors import ForecastError, PlugError, PlugRefused, StoreError
-from plugd.ports import Clock, ForecastSource, Hub, Inbox, Plug, Store, Tended
+from plugd.errors import ForecastError, ForecastLate, PlugError, PlugRefused, StoreError
+from plugd.past import HISTORY, LATE
+from plugd.plausible import believed
+from plugd.ports import Clock, Errand, ForecastSource, Hub, Inbox, Plug, Store, Tended
+from plugd.retry import Retry
 from plugd.units import next_slot, slot_start
 
-HISTORY = timedelta(days=56)
 LOOK_S = 10.0
 FETCH_RETRY_S = (60.0, 120.0, 240.0, 480.0, 960.0, 1800.0)
 PLUG_RETRY_S = (5.0, 15.0, 60.0)
 MOST_OFFS = 3
 """A relay that stays on is told off so often, and then left alone: moving it more would only wear it."""
 Kept = TypeVar("Kept")
-
-
-def _nth(delays_s: tuple[float, ...], failures: int) -> timedelta:
-    """The pause after the n-th failure in a row."""
-    return timedelta(seconds=delays_s[min(failures, len(delays_s)) - 1])
-
-
-@dataclass(slots=True)
-class Retry:
-    """When to try again something that failed."""
-
-    delays_s: tuple[float, ...]
-    failures: int = 0
-    at: datetime | None = None
-
-    def failed(self, now: datetime, spread: float = 0.0) -> None:
-        """It failed again; `spread` in 0..1 lengthens the pause by up to half, so that not all come at once."""
-        self.failures += 1
-        self.at = now + _nth(self.delays_s, self.failures) * (1.0 + 0.5 * spread)
-
-    def succeeded(self) -> None:
-        """It worked."""
-        self.failures, self.at = 0, None
-
-    def due(self, now: datetime) -> bool:
-        """Whether it may be tried now. A moment too far ahead is from before the clock was set back."""
-        return self.at is None or not now < self.at <= now + 1.5 * _nth(self.delays_s, self.failures)
 
 
 @dataclass(slots=True)
@@ -80,6 +56,8 @@ class Cycle:
     forecast: Forecast | None = None
     book: Book | None = None
     """The ledger, where one is kept."""
+    errands: Sequence[Errand] = ()
+    """What is done beside all this when there is time."""
     faults: dict[tuple[str, str], Fault] = field(default_factory=dict)
     """By code, and by what failed where that has several ways to."""
     decision: Decision | None = None
@@ -118,6 +96,7 @@ class Cycle:
         self._tend(now)
         self._keep_book(now, reading, settle=due)
         self._publish(now, reading)
+        self._run_errands(now, fetched=due)
         return self._next(now, action)
 
     def rest(self, due: datetime, inbox: Inbox, stopped: Callable[[], bool]) -> None:
@@ -160,7 +139,7 @@ class Cycle:
         new_half_hour = slot_start(now) != slot_start(self.planned_at)
         orders = self.memory.orders  # a slot may end inside a half hour: where the session begins, or is due
         run_out = isinstance(orders, Setpoint) and now >= orders.until
-        return new_half_hour or run_out or (self.fetch.failures > 0 and self.fetch.due(now))
+        return new_half_hour or run_out or (self.fetch.at is not None and self.fetch.due(now))
 
     def _fetch(self, now: datetime) -> None:
         """A newer forecast, at most one a half hour; the last good one stays until then."""
@@ -170,7 +149,10 @@ class Cycle:
         if not self.fetch.due(now):
             return
         try:
-            self.forecast = self.source.fetch(now)
+            self.forecast = believed(self.source.fetch(now), self._history(now))
+        except ForecastLate:
+            self.fetch.later(now, LATE)
+            return
         except ForecastError as error:
             self.fetch.failed(now, self.spread())
             self._fault("forecast", f"{error}; {self._forecast_age(now)}")
@@ -195,6 +177,9 @@ class Cycle:
         self.hub.answer(self.decision.answers)
         self._save()
         self._log(now, reading)
+        outlook = self.decision.outlook
+        if outlook is not None:
+            self._stored("expect", lambda: self.store.expect(now, outlook), None)
 
     def _history(self, now: datetime) -> tuple[Intensity, ...]:
         nothing: tuple[Intensity, ...] = ()
@@ -317,6 +302,11 @@ class Cycle:
         if settle:
             self._stored("settle", lambda: book.settle(now), None)
 
+    def _run_errands(self, now: datetime, fetched: bool) -> None:
+        """After all else, and not where the source was asked: one that is slow holds nobody up for long."""
+        for errand in self.errands:
+            self._stored(type(errand).__name__, partial(errand.step, now, wait=fetched), None)
+
     def _save(self) -> None:
         self._stored("save", lambda: self.store.save(self.memory), None)
 
@@ -338,7 +328,7 @@ class Cycle:
 
     def _next(self, now: datetime, action: Action) -> datetime:
         moments = [next_slot(now), action.until, None if isinstance(self.plug, Tended) else self.plug.due()]
-        moments += [retry.at for retry in (self.fetch, self.switch)]
+        moments += [self.fetch.at, self.switch.at, *(errand.at for errand in self.errands)]
         return min(m for m in moments if m is not None and m > now)
 
 

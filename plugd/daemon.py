@@ -7,6 +7,7 @@ import signal
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
+from datetime import timedelta
 from importlib.util import find_spec
 from pathlib import Path
 from types import FrameType
@@ -30,15 +31,17 @@ from plugd.domain import Capability, Forecast, Memory
 from plugd.errors import ConfigError, StoreError
 from plugd.journal import Journal
 from plugd.page import opened_page
+from plugd.past import CatchUp
 from plugd.planner.qp import Qp
-from plugd.ports import Clock, Plug, Tended
+from plugd.ports import Clock, Inbox, Plug, Tended
+from plugd.scoring import Scoring
 from plugd.units import kw_of
 
 BROKER_PATIENCE_S = 10.0
 """How long a start waits for the broker before it goes on without."""
 
-FETCH_S, CAN_FETCH_S = 10.0, 3.0
-"""How long the forecast may take. A CAN charger that hears nothing for 5 s meanwhile would stop."""
+PATIENCE_S = 1.5
+"""How long the loop waits for an answer of the source before it goes on and comes back for it."""
 
 log = logging.getLogger("plugd")
 
@@ -108,11 +111,18 @@ def _can_charger(config: Config, clock: Clock) -> Plug:
     return charger(config, capability_of(config), clock=clock)
 
 
-def source_for(config: Config) -> Neso:
-    """The forecast source for the configured place."""
-    home = config.home
-    timeout_s = CAN_FETCH_S if config.plug.kind == "can_elcon" else FETCH_S
-    return Neso(config.forecast.base_url, home.region_id, home.postcode, timeout_s)
+def source_for(config: Config, clock: Clock | None = None) -> Neso:
+    """The source for the configured place. With a clock nobody waits for it longer than `PATIENCE_S`."""
+    base_url, home = config.forecast.base_url, config.home
+    if clock is None:
+        return Neso(base_url, home.region_id, home.postcode)
+
+    def wait(answer: Inbox) -> None:
+        until_s = clock.monotonic() + PATIENCE_S
+        while not answer.pending() and (left_s := until_s - clock.monotonic()) > 0.0:
+            clock.wait(clock.now() + timedelta(seconds=left_s), answer)
+
+    return Neso(base_url, home.region_id, home.postcode, wait=wait)
 
 
 def hub_for(config: Config, connection: MqttConnection, plug: Plug) -> MqttHub:
@@ -133,7 +143,8 @@ def cycle_for(config: Config, clock: Clock, connection: MqttConnection, store: S
     remembered = _remembered(store)
     home = household(config, plug.capability)
     seed = f"{config.name}/{config.plug.topic}"
-    source = source_for(config)
+    source = source_for(config, clock)
+    spread = random.Random(seed).random
     return Cycle(
         clock=clock,
         source=source,
@@ -142,9 +153,10 @@ def cycle_for(config: Config, clock: Clock, connection: MqttConnection, store: S
         store=store,
         controller=Controller(home, Qp(), seed),
         memory=remembered or perception.fresh(clock.now()),
-        spread=random.Random(seed).random,
+        spread=spread,
         forecast=kept_forecast(store, config),
-        book=Book(store, source, home),
+        book=Book(store, home),
+        errands=(CatchUp(source, store, spread), Scoring(store)),
     )
 
 

@@ -34,6 +34,15 @@ class Forecast:
     dropped: tuple[str, ...] = ()
 
 
+@dataclass(frozen=True, slots=True)
+class PastRow:
+    """A half hour as the source tells it afterwards: what it forecast last, and what was measured (national only)."""
+
+    start: datetime
+    forecast: float | None
+    actual: float | None
+
+
 class SlotSource(StrEnum):
     """Where an outlook's number came from."""
 

@@ -4,7 +4,7 @@ PlugdError
 ├── ConfigError          the configuration file: exit 78
 ├── UsageError           an argument or an input file: exit 2
 ├── AlreadyRunning       another daemon holds the state folder: exit 75
-├── ForecastError        ForecastUnavailable | ForecastMalformed
+├── ForecastError        ForecastUnavailable (ForecastLate) | ForecastMalformed
 ├── PlugError            PlugTimeout | PlugRefused | PlugFault
 └── StoreError
 """
@@ -32,6 +32,10 @@ class ForecastError(PlugdError):
 
 class ForecastUnavailable(ForecastError):
     """The source did not answer, or answered that it cannot."""
+
+
+class ForecastLate(ForecastUnavailable):
+    """The answer is under way: ask again in a few seconds."""
 
 
 class ForecastMalformed(ForecastError):

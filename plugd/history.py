@@ -7,28 +7,21 @@ from pathlib import Path
 
 from plugd import daemon
 from plugd.adapters.clock import SystemClock
-from plugd.adapters.neso import LONGEST, Neso
-from plugd.adapters.neso_body import PastRow
+from plugd.adapters.neso import Neso
 from plugd.adapters.store import SqliteStore
 from plugd.config import Config
+from plugd.domain import PastRow
 from plugd.errors import ForecastError, ForecastUnavailable, PlugdError, UsageError
+from plugd.past import PAUSE, pages
 from plugd.ports import Clock
 from plugd.series import IntensitySeries
 from plugd.units import HALF_HOUR
 
 BASE_URL = "https://api.carbonintensity.org.uk"
-PAUSE = timedelta(seconds=1)
 RETRIES = (timedelta(seconds=5), timedelta(seconds=20), timedelta(seconds=60))
 """Pauses before a page is asked for again; after the last it is given up."""
 DNO_REGIONS = range(1, 15)
 Told = Callable[[str], None]
-
-
-def pages(start: datetime, end: datetime) -> Iterator[tuple[datetime, datetime]]:
-    """The questions that cover [start, end)."""
-    while start < end:
-        yield start, min(start + LONGEST, end)
-        start += LONGEST
 
 
 def fetched(source: Neso, start: datetime, end: datetime, clock: Clock, told: Told) -> Iterator[tuple[PastRow, ...]]:
@@ -96,7 +89,7 @@ def to_store(config: Config, region: str, found: Iterable[Sequence[PastRow]]) ->
     count = 0
     with SqliteStore(folder) as store:
         for page in found:
-            store.keep_past(region, ((row.start, row.forecast, row.actual) for row in page))
+            store.keep_past(region, page)
             count += len(page)
     return count
 

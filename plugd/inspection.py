@@ -14,14 +14,15 @@ from plugd.adapters.mqtt import Mailbox, MqttConnection, Retained
 from plugd.adapters.store import SqliteStore
 from plugd.config import Config, household
 from plugd.controller import Controller
-from plugd.cycle import HISTORY
 from plugd.domain import Decision, Fault, Forecast, Intensity, Observation, Reading, Relay, Setpoint
 from plugd.errors import ForecastError, PlugdError, PlugRefused, PlugTimeout, StoreError, UsageError
 from plugd.explanation import Names, dated
+from plugd.past import HISTORY
 from plugd.planner.marginal import Explanation, explain
 from plugd.planner.nights import layout
 from plugd.planner.problem import Problem, Solution, Solver
 from plugd.planner.qp import Qp
+from plugd.plausible import believed
 from plugd.ports import Clock, Plug, Tended
 from plugd.units import kw_of, slot_start, to_w
 
@@ -167,7 +168,7 @@ def decision_now(config: Config, solver: Solver | None = None) -> Decision:
     faults: tuple[Fault, ...] = ()
     if forecast is None or slot_start(forecast.issued_at) != slot_start(now):
         try:
-            forecast = daemon.source_for(config).fetch(now)
+            forecast = believed(daemon.source_for(config).fetch(now), history)
         except ForecastError as error:
             faults = (Fault("forecast", f"no new forecast: {error}"),)
     seen = Observation(forecast=forecast, history=history, faults=faults)

@@ -71,7 +71,7 @@ def _scored(folder: Path, now: datetime) -> tuple[LeadScore, ...]:
     """How good the forecasts of the last week were, through a connection of its own."""
     try:
         with SqliteStore(folder, hold=False) as store:
-            return scores(store.forecasts(now - SCORED), store.measured(now - SCORED))
+            return scores(store.issued(now - SCORED), store.measured(now - SCORED))
     except StoreError as error:
         log.warning("forecasts are not scored: %s", error)
         return ()

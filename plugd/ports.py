@@ -1,7 +1,8 @@
 """What the cycle needs from the world. Adapters, stubs and the study implement these; nothing inherits."""
 
-from collections.abc import Sequence
-from datetime import datetime
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import date, datetime
 from typing import Protocol, runtime_checkable
 
 from plugd.domain import (
@@ -13,6 +14,8 @@ from plugd.domain import (
     Forecast,
     Intensity,
     Memory,
+    Outlook,
+    PastRow,
     Reading,
     Record,
     Wanted,
@@ -53,7 +56,10 @@ class ForecastSource(Protocol):
     """Where the intensity forecast comes from."""
 
     def fetch(self, now: datetime) -> Forecast:
-        """The newest forecast. Raises ForecastUnavailable, ForecastMalformed."""
+        """The newest forecast. Raises ForecastLate, ForecastUnavailable, ForecastMalformed.
+
+        Waits 2 s at most; what comes later a later call returns.
+        """
 
 
 class Plug(Protocol):
@@ -132,7 +138,76 @@ class Store(Protocol):
         """The last one kept."""
 
     def history(self, since: datetime) -> tuple[Intensity, ...]:
-        """Intensities seen of half hours from `since` on: measured where known, else last expected."""
+        """Intensities known of half hours from `since` on: measured where published, else last expected."""
+
+    def issued(self, since: datetime) -> Iterable[Forecast]:
+        """Every forecast kept from `since` on, oldest first, each with what was newly published by then.
+
+        So the fold over them sees the past as it came to be known. Raises StoreError.
+        """
+
+    def expect(self, at: datetime, outlook: Outlook) -> None:
+        """Keep what was expected at `at`, to be scored later. Raises StoreError."""
+
+
+class Errand(Protocol):
+    """Something that is done beside the cycle when there is time, a little at a call."""
+
+    @property
+    def at(self) -> datetime | None:
+        """When there is something to do next."""
+
+    def step(self, now: datetime, wait: bool = False) -> None:
+        """Do a little of it where it is due; with `wait` a moment later. Raises StoreError."""
+
+
+@dataclass(frozen=True, slots=True)
+class Tally:
+    """Errors (expected less measured) at a day's half hours of one who said what to expect, `from_h` to `to_h` ahead.
+
+    Sums over `half_hours`, in g/kWh: their absolute values, themselves, and what was measured.
+    """
+
+    day: date
+    who: str
+    from_h: int
+    to_h: int
+    half_hours: int
+    absolute: float
+    signed: float
+    level: float
+
+
+class Scores(Protocol):
+    """Where scores outlive a restart, and what they are made of. Every call raises StoreError."""
+
+    def issued(self, since: datetime) -> Iterable[Forecast]:
+        """As the store's."""
+
+    def measured(self, since: datetime) -> tuple[Intensity, ...]:
+        """What was measured from `since` on, as far as published."""
+
+    def outlooks(self, since: datetime) -> Mapping[datetime, Mapping[datetime, float]]:
+        """What plugd expected of each half hour, by the half hour in which it did."""
+
+    def scored(self) -> date | None:
+        """The last day that is scored."""
+
+    def score(self, day: date, found: Sequence[Tally]) -> None:
+        """Keep a day's score; a day without any counts as scored too."""
+
+
+class Archive(Protocol):
+    """Where past intensities outlive a restart."""
+
+    def history(self, since: datetime) -> tuple[Intensity, ...]:
+        """As the store's."""
+
+    def keep_past(self, region: str, rows: Iterable[PastRow]) -> None:
+        """Keep half hours that are over; an expectation known already stays. Raises StoreError."""
+
+    def lacks(self, region: str, start: datetime, end: datetime, measured: bool) -> int:
+        """Half hours in [start, end) of which nothing is known, or nothing measured. Raises StoreError."""
 
 
 class Books(Protocol):
@@ -144,16 +219,20 @@ class Books(Protocol):
     def enter(self, rows: Sequence[HalfHour]) -> None:
         """Keep half hours, in place of what was kept of them. Raises StoreError."""
 
-    def measure(self, region: str, values: Sequence[Intensity]) -> None:
-        """Keep measured intensities. Raises StoreError."""
+    def measured(self, since: datetime) -> tuple[Intensity, ...]:
+        """What was measured from `since` on, as far as published. Raises StoreError."""
 
 
-class MeasuredSource(Protocol):
-    """Where measured intensities come from."""
+class PastSource(Protocol):
+    """Where past intensities come from."""
 
     @property
     def region(self) -> str:
         """What its forecasts call their region."""
 
-    def measured(self, start: datetime, end: datetime) -> Sequence[Intensity]:
-        """What was measured in [start, end), none where nobody measures. Raises ForecastError."""
+    @property
+    def measures(self) -> bool:
+        """Whether it tells what was measured."""
+
+    def past(self, start: datetime, end: datetime) -> Sequence[PastRow]:
+        """What is known of [start, end). Raises ForecastLate, ForecastUnavailable, ForecastMalformed."""

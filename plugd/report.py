@@ -75,7 +75,7 @@ def gathered(
         first = sorted({row.night for row in kept})[-days:][0]
         rows = tuple(row for row in kept if row.night >= first)
         since = rows[0].start
-        forecasts, measured = store.forecasts(since), store.measured(since)
+        forecasts, measured = tuple(store.issued(since)), store.measured(since)
         history = store.history(since - HISTORY)
     car = home.car
     found = ledger.nights(rows, car.efficiency, car.capacity_kwh)

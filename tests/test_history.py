@@ -11,11 +11,10 @@ import pytest
 
 from plugd import history, series
 from plugd.adapters.neso import Neso
-from plugd.adapters.neso_body import PastRow
 from plugd.adapters.store import SqliteStore
 from plugd.cli import Parser, main
 from plugd.config import load
-from plugd.domain import Forecast, Intensity
+from plugd.domain import Forecast, Intensity, PastRow
 from plugd.errors import ConfigError, ForecastError, ForecastUnavailable, UsageError
 from plugd.study import command
 from plugd.units import HALF_HOUR
@@ -131,13 +130,13 @@ def test_the_store_learns_what_it_did_not_know(config: Path, capsys: pytest.Capt
     assert main(["-c", str(config), "history", "show"]) == 0
     line = capsys.readouterr().out
     assert line.startswith(
-        "region national: 2023-01-03 00:00 to 2023-01-06 23:30 UTC, 192 half hours, 144 measured, 0 missing, mean "
+        "region national: 2023-01-03 00:00 to 2023-01-05 23:30 UTC, 144 half hours, 144 measured, 0 missing, mean "
     )
     with SqliteStore(folder) as store:
         seen = {value.start: value.g_per_kwh for value in store.history(start - timedelta(days=9))}
     first = datetime(2023, 1, 3, tzinfo=UTC)
     assert seen[first] == round(YEAR.actual_at(first) or 0.0)
-    assert len(seen) == 96
+    assert len(seen) == 144
 
 
 @pytest.mark.parametrize(

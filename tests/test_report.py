@@ -18,10 +18,10 @@ import pytest
 from plugd.adapters.store import SqliteStore
 from plugd.book import Book
 from plugd.cli import main
-from plugd.domain import Intensity, SetSoc
+from plugd.domain import PastRow, SetSoc
+from plugd.past import CatchUp
 from plugd.units import HALF_HOUR, slot_start
 from tests.unit.deciding import HOME, Room, at, knows
-from tests.unit.test_ledger import Shelf
 
 START = at(13, 30)
 NIGHTS = 3
@@ -35,13 +35,16 @@ timezone = "Europe/London"
 """
 
 
-class Grid(Shelf):
+class Grid:
     """A grid that is cleaner than forecast after midnight."""
 
-    def measured(self, start: datetime, end: datetime) -> tuple[Intensity, ...]:
+    region = "13"
+    measures = True
+
+    def past(self, start: datetime, end: datetime) -> tuple[PastRow, ...]:
         """90 before noon, 210 after."""
         slots = (start + k * HALF_HOUR for k in range((end - start) // HALF_HOUR))
-        return tuple(Intensity(slot, 90.0 if slot.hour < 12 else 210.0) for slot in slots)
+        return tuple(PastRow(slot, None, 90.0 if slot.hour < 12 else 210.0) for slot in slots)
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +56,8 @@ def config(tmp_path_factory: pytest.TempPathFactory) -> Path:
     room = Room(START, knows(0.43, START))
     with SqliteStore(folder / "state") as store:
         room.cycle.store = store
-        room.cycle.book = Book(store, Grid(region="13"), HOME)
+        room.cycle.book = Book(store, HOME)
+        room.cycle.errands = (CatchUp(Grid(), store, lambda: 0.0),)
         for night in range(NIGHTS):
             room.hub.said.append(SetSoc(0.43 + 0.02 * night, "car"))
             room.run(START + timedelta(days=night + 1))
@@ -93,7 +97,7 @@ def test_every_number_agrees_with_the_raw_log(config: Path, made: Made) -> None:
     with SqliteStore(config.parent / "state", hold=False) as store:
         log = store.records(START)
         measured = {value.start: value.g_per_kwh for value in store.measured(START)}
-        expected = {slot_start(f.issued_at): f.expected[0].g_per_kwh for f in store.forecasts(START)}
+        expected = {slot_start(f.issued_at): f.expected[0].g_per_kwh for f in store.issued(START)}
     flows: dict[datetime, float] = defaultdict(float)
     for before, after in pairwise(log):
         assert before.energy_kwh is not None

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from enum import StrEnum
 
-from plugd.domain import Forecast, Intensity
+from plugd.domain import Forecast, Intensity, PastRow
 from plugd.errors import ForecastMalformed
 from plugd.units import HALF_HOUR, iso, require_utc, slot_start
 
@@ -79,15 +79,6 @@ def parse(body: bytes, now: datetime, region: str) -> Forecast:
         actual=_sorted(seen.actual),
         dropped=tuple(_told(seen.dropped)),
     )
-
-
-@dataclass(frozen=True, slots=True)
-class PastRow:
-    """One half hour as the API tells it afterwards: the last forecast, and what was measured (national only)."""
-
-    start: datetime
-    forecast: float | None
-    actual: float | None
 
 
 def parse_past(body: bytes, start: datetime, end: datetime, region: str) -> tuple[PastRow, ...]:

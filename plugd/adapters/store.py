@@ -5,25 +5,23 @@ cut from the next save on. Forecasts are kept as issued for 13 months, packed.
 """
 
 import zlib
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from datetime import UTC, date, datetime
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from datetime import date, datetime
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 from pydantic import TypeAdapter, ValidationError
 
+from plugd.adapters import store_past
 from plugd.adapters.store_file import StoreFile
-from plugd.adapters.store_pack import pack, unpack
-from plugd.domain import Forecast, Intensity, Memory, Record
+from plugd.adapters.store_past import Day, Past, epoch_s, moment
+from plugd.domain import Forecast, Intensity, Memory, Outlook, PastRow, Record
 from plugd.errors import StoreError
 from plugd.ledger import HalfHour
-from plugd.units import HALF_HOUR, require_utc, slot_start
+from plugd.ports import Tally
 
-MOST_FORECASTS = 400 * 48
 MOST_RECORDS = 400 * 96
-MOST_SEEN = 400 * 48
-"""About 13 months of each. Counted in rows, not by date: a clock years ahead must not empty the store."""
+"""About 13 months. Counted in rows, not by date: a clock years ahead must not empty the store."""
 
 MIGRATIONS = (
     """
@@ -44,6 +42,7 @@ MIGRATIONS = (
         meter_kwh REAL, metered_at REAL
     );
     """,
+    store_past.TABLES,
 )
 """Each brings a store from the version of its place to the next; `user_version` counts those done."""
 
@@ -56,20 +55,9 @@ LEDGER_COLUMNS = (
 LEDGER = ", ".join(LEDGER_COLUMNS)
 _TIMES = ("start", "arrival", "session_end", "metered_at")
 
+Found = TypeVar("Found")
 _MEMORY = TypeAdapter(Memory)
 _RECORD = TypeAdapter(Record)
-
-
-@dataclass(frozen=True, slots=True)
-class Past:
-    """How much is known of a region's intensity: from the first to the last half hour."""
-
-    region: str
-    first: datetime
-    last: datetime
-    known: int
-    measured: int
-    mean_g_per_kwh: float
 
 
 class SqliteStore:
@@ -133,14 +121,14 @@ class SqliteStore:
         """Add a line to the log. Raises StoreError."""
         body = _RECORD.dump_json(record).decode()
         with self._file.writing("NORMAL"):
-            row = self._db.execute("INSERT INTO record (at, body) VALUES (?, ?)", [_epoch_s(record.at), body])
+            row = self._db.execute("INSERT INTO record (at, body) VALUES (?, ?)", [epoch_s(record.at), body])
             self._db.execute("DELETE FROM record WHERE id <= ?", [(row.lastrowid or 0) - MOST_RECORDS])
 
     def records(self, since: datetime) -> tuple[Record, ...]:
         """The log's lines from `since` on, oldest first. Raises StoreError."""
         with self._file.told():
             rows = self._db.execute(
-                "SELECT body FROM record WHERE at >= ? ORDER BY at, id", [_epoch_s(since)]
+                "SELECT body FROM record WHERE at >= ? ORDER BY at, id", [epoch_s(since)]
             ).fetchall()
         try:
             return tuple(_RECORD.validate_json(body) for (body,) in rows)
@@ -148,76 +136,73 @@ class SqliteStore:
             raise StoreError(f"{self._file.path}: the log cannot be read; it was written by another plugd") from error
 
     def keep(self, forecast: Forecast) -> None:
-        """Keep a forecast as issued, and its rows as seen. Raises StoreError."""
-        under_way = slot_start(forecast.issued_at)
-        expected = [(row.start, row.g_per_kwh) for row in forecast.expected if row.start >= under_way]
-        actual = [(row.start, row.g_per_kwh) for row in forecast.actual]
+        """Keep a forecast as issued, and what is new in it of the past. Raises StoreError."""
         with self._file.writing("NORMAL"):
-            row = self._db.execute(
-                "INSERT INTO forecast (issued_at, region, rows) VALUES (?, ?, ?)",
-                [_epoch_s(forecast.issued_at), forecast.region, pack(forecast)],
-            )
-            self._db.execute("DELETE FROM forecast WHERE id <= ?", [(row.lastrowid or 0) - MOST_FORECASTS])
-            for column, values in (("expected", expected), ("actual", actual)):
-                self._see(forecast.region, column, values)
-            oldest = "SELECT start FROM seen ORDER BY start DESC LIMIT 1 OFFSET ?"
-            self._db.execute(f"DELETE FROM seen WHERE start <= ({oldest})", [MOST_SEEN])
+            store_past.keep(self._db, forecast)
 
-    def keep_past(self, region: str, rows: Iterable[tuple[datetime, float | None, float | None]]) -> None:
-        """Keep (start, expected, actual) of half hours long over; what is known already stays. Raises StoreError."""
+    def keep_past(self, region: str, rows: Iterable[PastRow]) -> None:
+        """Keep half hours that are over; an expectation that is known already stays. Raises StoreError."""
         with self._file.writing("NORMAL"):
-            self._db.executemany(
-                "INSERT INTO seen (region, start, expected, actual) VALUES (?, ?, ?, ?) ON CONFLICT DO UPDATE "
-                "SET expected = coalesce(expected, excluded.expected), actual = coalesce(excluded.actual, actual)",
-                [(region, int(_epoch_s(start)), expected, actual) for start, expected, actual in rows],
-            )
+            store_past.keep_past(self._db, region, rows)
 
-    def past(self) -> tuple[Past, ...]:
-        """What is known of the past, a line a region. Raises StoreError."""
-        with self._file.told():
-            rows = self._db.execute(
-                "SELECT region, min(start), max(start), count(*), count(actual), avg(coalesce(actual, expected)) "
-                "FROM seen GROUP BY region ORDER BY region"
-            ).fetchall()
-        return tuple(Past(region, _moment(first), _moment(last), *rest) for region, first, last, *rest in rows)
+    def expect(self, at: datetime, outlook: Outlook) -> None:
+        """Keep what was expected at `at`, to be scored later. Raises StoreError."""
+        with self._file.writing("NORMAL"):
+            store_past.expect(self._db, at, outlook)
+
+    def score(self, day: date, found: Sequence[Tally]) -> None:
+        """Keep a day's score. Raises StoreError."""
+        with self._file.writing("NORMAL"):
+            store_past.score(self._db, day, found)
 
     def latest_forecast(self) -> Forecast | None:
         """The last one kept, None where there is none. Raises StoreError."""
-        with self._file.told():
-            row = self._db.execute("SELECT issued_at, region, rows FROM forecast ORDER BY id DESC LIMIT 1").fetchone()
-        return None if row is None else self._unpacked(*row)
+        return self._told(lambda: store_past.latest(self._db))
 
-    def forecasts(self, since: datetime) -> tuple[Forecast, ...]:
-        """Every forecast kept that was issued from `since` on, in the order of keeping. Raises StoreError."""
-        with self._file.told():
-            rows = self._db.execute(
-                "SELECT issued_at, region, rows FROM forecast WHERE issued_at >= ? ORDER BY id",
-                [_epoch_s(since)],
-            ).fetchall()
-        return tuple(self._unpacked(*row) for row in rows)
+    def issued(self, since: datetime) -> Iterator[Forecast]:
+        """Every forecast kept that was issued from `since` on, in order, of the present region. Raises StoreError."""
+        forecasts = self._told(lambda: store_past.issued(self._db, since))
+        while (forecast := self._told(lambda: next(forecasts, None))) is not None:
+            yield forecast
 
     def history(self, since: datetime) -> tuple[Intensity, ...]:
-        """Intensities of the half hours from `since` on that were over at the last forecast's issue.
+        """Half hours from `since` on that are over: measured where published, else last expected. Raises StoreError."""
+        return self._told(lambda: store_past.history(self._db, since))
 
-        Measured where known, else what was last expected; of the last forecast's region. Raises StoreError.
-        """
-        with self._file.told():
-            last = self._db.execute("SELECT region, issued_at FROM forecast ORDER BY id DESC LIMIT 1").fetchone()
-            if last is None:
-                return ()
-            rows = self._db.execute(
-                "SELECT start, coalesce(actual, expected) FROM seen "
-                "WHERE region = ? AND start >= ? AND start <= ? ORDER BY start",
-                [last[0], _epoch_s(since), last[1] - HALF_HOUR.total_seconds()],
-            ).fetchall()
-        return tuple(Intensity(_moment(start), value) for start, value in rows)
+    def measured(self, since: datetime) -> tuple[Intensity, ...]:
+        """What was measured from `since` on, of the present region. Raises StoreError."""
+        return self._told(lambda: store_past.measured(self._db, since))
+
+    def lacks(self, region: str, start: datetime, end: datetime, measured: bool) -> int:
+        """Half hours in [start, end) of which nothing is known, or nothing measured. Raises StoreError."""
+        return self._told(lambda: store_past.lacks(self._db, region, start, end, measured))
+
+    def past(self) -> tuple[Past, ...]:
+        """What is known of the past, a line a region. Raises StoreError."""
+        return self._told(lambda: store_past.past(self._db))
+
+    def days(self) -> tuple[Day, ...]:
+        """Older days than the half hours that are kept. Raises StoreError."""
+        return self._told(lambda: store_past.days(self._db))
+
+    def outlooks(self, since: datetime) -> dict[datetime, dict[datetime, float]]:
+        """What was expected of each half hour, by the half hour in which it was. Raises StoreError."""
+        return self._told(lambda: store_past.outlooks(self._db, since))
+
+    def scored(self) -> date | None:
+        """The last day that is scored. Raises StoreError."""
+        return self._told(lambda: store_past.scored(self._db))
+
+    def tallies(self, since: date) -> tuple[Tally, ...]:
+        """The scores of the days from `since` on. Raises StoreError."""
+        return self._told(lambda: store_past.tallies(self._db, since))
 
     def half_hours(self, since: datetime | None = None) -> tuple[HalfHour, ...]:
         """The ledger from `since` on, in order of time. Raises StoreError."""
         with self._file.told():
             rows = self._db.execute(
                 f"SELECT {LEDGER} FROM half_hour WHERE start >= ? ORDER BY start",
-                [0.0 if since is None else _epoch_s(since)],
+                [0.0 if since is None else epoch_s(since)],
             ).fetchall()
         return tuple(_half_hour(*row) for row in rows)
 
@@ -231,53 +216,25 @@ class SqliteStore:
             oldest = "SELECT start FROM half_hour ORDER BY start DESC LIMIT 1 OFFSET ?"
             self._db.execute(f"DELETE FROM half_hour WHERE start <= ({oldest})", [MOST_HALF_HOURS])
 
-    def measure(self, region: str, values: Sequence[Intensity]) -> None:
-        """Keep measured intensities of half hours that are over. Raises StoreError."""
-        with self._file.writing("NORMAL"):
-            self._see(region, "actual", [(value.start, value.g_per_kwh) for value in values])
-
-    def measured(self, since: datetime) -> tuple[Intensity, ...]:
-        """What was measured from `since` on, of the last forecast's region. Raises StoreError."""
-        with self._file.told():
-            rows = self._db.execute(
-                "SELECT start, actual FROM seen WHERE actual IS NOT NULL AND start >= ? AND "
-                "region = (SELECT region FROM forecast ORDER BY id DESC LIMIT 1) ORDER BY start",
-                [_epoch_s(since)],
-            ).fetchall()
-        return tuple(Intensity(_moment(start), value) for start, value in rows)
-
-    def _see(self, region: str, column: str, values: list[tuple[datetime, float]]) -> None:
-        self._db.executemany(
-            f"INSERT INTO seen (region, start, {column}) VALUES (?, ?, ?) ON CONFLICT DO UPDATE "
-            f"SET {column} = excluded.{column} WHERE {column} IS NOT excluded.{column}",
-            [(region, int(_epoch_s(start)), value) for start, value in values],
-        )
-
-    def _unpacked(self, issued_at: float, region: str, packed: bytes) -> Forecast:
+    def _told(self, read: Callable[[], Found]) -> Found:
+        """What is read. SQLite's errors, and what cannot be unpacked, as StoreError."""
         try:
-            return unpack(_moment(issued_at), region, packed)
-        except (zlib.error, ValueError, KeyError, TypeError) as error:
+            with self._file.told():
+                return read()
+        except store_past.UNREADABLE as error:
             raise StoreError(f"{self._file.path}: a kept forecast cannot be read; the next one will do") from error
 
 
 def _ledger_row(row: HalfHour) -> list[object]:
     """A half hour's values, in the order of the columns."""
     values = {name: getattr(row, name) for name in LEDGER_COLUMNS}
-    values |= {name: _epoch_s(values[name]) for name in _TIMES if values[name] is not None}
-    return list((values | {"night": row.night.isoformat(), "start": int(_epoch_s(row.start))}).values())
+    values |= {name: epoch_s(values[name]) for name in _TIMES if values[name] is not None}
+    return list((values | {"night": row.night.isoformat(), "start": int(epoch_s(row.start))}).values())
 
 
 def _half_hour(*columns: Any) -> HalfHour:
     values = dict(zip(LEDGER_COLUMNS, columns, strict=True))
-    values |= {name: _moment(values[name]) for name in _TIMES if values[name] is not None}
+    values |= {name: moment(values[name]) for name in _TIMES if values[name] is not None}
     return HalfHour(
         **values | {"night": date.fromisoformat(values["night"]), "arrival_told": bool(values["arrival_told"])}
     )
-
-
-def _epoch_s(moment: datetime) -> float:
-    return require_utc(moment).timestamp()
-
-
-def _moment(epoch_s: float) -> datetime:
-    return datetime.fromtimestamp(epoch_s, UTC)

@@ -11,8 +11,8 @@ from datetime import datetime
 from enum import StrEnum
 from typing import Protocol
 
-from plugd.cycle import HISTORY
 from plugd.domain import Intensity
+from plugd.past import HISTORY
 from plugd.study.measured import Measured
 from plugd.units import HALF_HOUR, SLOT_H, slot_start, span_h
 

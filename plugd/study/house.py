@@ -1,5 +1,6 @@
 """A simulated house for the daemon's own cycle: clock, plug with a car behind it, forecast, hub and store in memory."""
 
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
@@ -17,6 +18,7 @@ from plugd.domain import (
     Household,
     Intensity,
     Memory,
+    Outlook,
     Overrides,
     Reading,
     Record,
@@ -29,6 +31,9 @@ from plugd.planner.problem import Solver
 from plugd.ports import Inbox
 from plugd.study.world import Battery, Morning, Stay
 from plugd.units import HALF_HOUR, hours, pieces, slot_start
+
+MOST_FORECASTS = 56 * 48
+"""Eight weeks of them."""
 
 
 @dataclass(slots=True)
@@ -149,6 +154,7 @@ class RamStore:
     memory: Memory | None = None
     seen: dict[datetime, Intensity] = field(default_factory=dict)
     records: list[Record] = field(default_factory=list)
+    forecasts: deque[Forecast] = field(default_factory=lambda: deque(maxlen=MOST_FORECASTS))
 
     def load(self) -> Memory | None:
         """What was saved."""
@@ -163,8 +169,9 @@ class RamStore:
         self.records.append(record)
 
     def keep(self, forecast: Forecast) -> None:
-        """Remember the nearest expectation of each half hour."""
-        for row in forecast.expected[:2]:
+        """Remember the nearest expectation of each half hour, and what was measured."""
+        self.forecasts.append(forecast)
+        for row in (*forecast.expected[:2], *forecast.actual):
             self.seen[row.start] = row
 
     def latest_forecast(self) -> Forecast | None:
@@ -176,6 +183,13 @@ class RamStore:
         while self.seen and next(iter(self.seen)) < since:
             del self.seen[next(iter(self.seen))]
         return tuple(self.seen.values())
+
+    def issued(self, since: datetime) -> tuple[Forecast, ...]:
+        """As kept."""
+        return tuple(forecast for forecast in self.forecasts if forecast.issued_at >= since)
+
+    def expect(self, at: datetime, outlook: Outlook) -> None:
+        """Nobody scores a simulation."""
 
 
 @dataclass(slots=True)

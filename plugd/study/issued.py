@@ -17,9 +17,9 @@ from pathlib import Path
 from typing import TextIO
 
 from plugd import outlook
-from plugd.cycle import HISTORY
 from plugd.domain import Forecast, Intensity, Series
 from plugd.errors import UsageError
+from plugd.past import HISTORY
 from plugd.study.measured import Measured
 from plugd.units import HALF_HOUR, require_utc, slot_start
 

@@ -4,9 +4,10 @@ import json
 import socket
 import ssl
 import subprocess
+import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -18,8 +19,8 @@ from hypothesis import strategies as st
 from plugd import __version__
 from plugd.adapters.neso import Neso, outward
 from plugd.adapters.neso_body import error_message, parse, quotable
-from plugd.domain import Forecast, Intensity
-from plugd.errors import ConfigError, ForecastError, ForecastMalformed, ForecastUnavailable
+from plugd.domain import Forecast, Intensity, PastRow
+from plugd.errors import ConfigError, ForecastError, ForecastLate, ForecastMalformed, ForecastUnavailable
 from plugd.ports import ForecastSource
 from plugd.units import HALF_HOUR, slot_start
 from plugd_hil.neso import Handler, StubNeso, serve
@@ -379,7 +380,7 @@ def test_the_question_is_the_apis_own(
 ) -> None:
     source: ForecastSource = asking(stub, region_id=region_id, postcode=postcode)
     forecast = source.fetch(START)
-    assert stub.asked == [path]
+    assert stub.asked[0] == path
     assert forecast.region == name
     assert len(forecast.expected) == 96
     assert forecast.issued_at == START
@@ -425,7 +426,7 @@ def test_a_bad_answer_is_an_error_of_its_kind_in_one_line(
 
 def test_a_redirect_on_the_same_host_is_followed(stub: StubNeso) -> None:
     stub.fault = "redirect_home"
-    assert len(asking(stub).fetch(START).expected) == 96
+    assert len(asking(stub, region_id=13).fetch(START).expected) == 96
     assert len(stub.asked) == 2
 
 
@@ -585,10 +586,74 @@ def test_a_step_of_the_clock_does_not_lengthen_the_wait(stub: StubNeso) -> None:
 # -- what was measured ----------------------------------------------------------------------------
 
 
-def test_it_asks_for_what_was_measured_of_the_nation_only(stub: StubNeso) -> None:
-    start = slot_start(START) - timedelta(hours=6)
-    measured = asking(stub).measured(start, start + timedelta(hours=2))
-    assert stub.asked == ["/intensity/2023-03-14T11:00Z/2023-03-14T13:00Z"]
-    assert [value.start for value in measured] == [start + k * HALF_HOUR for k in range(4)]
-    assert asking(stub, region_id=13).measured(start, START) == ()
-    assert len(stub.asked) == 1
+def test_beside_the_forecast_comes_what_was_measured_of_the_last_day_of_the_nation_only(stub: StubNeso) -> None:
+    forecast = asking(stub).fetch(START)
+    assert stub.asked == ["/intensity/2023-03-14T17:00Z/fw48h", "/intensity/2023-03-13T15:00Z/2023-03-14T17:00Z"]
+    first, last = forecast.actual[0].start, forecast.actual[-1].start
+    assert (first, last) == (slot_start(START) - timedelta(hours=26), slot_start(START) - timedelta(hours=1.5))
+    assert asking(stub, region_id=13).fetch(START).actual == ()
+    assert len(stub.asked) == 3
+
+
+class FirstOnly(Handler):
+    """Knows no more after the forecast."""
+
+    def do_GET(self) -> None:  # noqa: N802 - the parent's name
+        self.server.fault = None if "fw48h" in self.path else "500"
+        super().do_GET()
+
+
+def test_a_forecast_without_what_was_measured_is_a_forecast_and_says_so(stub: StubNeso) -> None:
+    stub.RequestHandlerClass = FirstOnly
+    forecast = asking(stub).fetch(START)
+    assert (len(forecast.expected), forecast.actual) == (96, ())
+    assert forecast.dropped == (
+        "what was measured: NESO answered 500: Requested resource not found.; plugd asks again later",
+    )
+
+
+class Slow(Handler):
+    """Answers when it is let."""
+
+    gate = threading.Event()
+
+    def do_GET(self) -> None:  # noqa: N802 - the parent's name
+        self.gate.wait(5.0)
+        super().do_GET()
+
+
+def test_who_cannot_wait_comes_back_for_the_answer_and_asks_only_once(stub: StubNeso) -> None:
+    stub.RequestHandlerClass = Slow
+    Slow.gate.clear()
+    source = Neso(stub.url, None, None, wait=lambda answer: answer.wait(0.05))
+    begun = time.perf_counter()
+    for _ in range(3):
+        with pytest.raises(ForecastLate):
+            source.fetch(START)
+    with pytest.raises(ForecastLate):  # beside it, and it waits for nobody either
+        source.past(START - timedelta(days=1), START)
+    assert time.perf_counter() - begun < 1.0
+    Slow.gate.set()
+    while True:
+        try:
+            forecast = source.fetch(START + timedelta(seconds=5))
+        except ForecastLate:
+            continue
+        break
+    assert forecast.issued_at == START  # it is of when it was asked
+    assert sum("fw48h" in path for path in stub.asked) == 1
+
+
+def test_a_page_that_comes_late_is_not_taken_for_another(stub: StubNeso) -> None:
+    stub.RequestHandlerClass = Slow
+    Slow.gate.clear()
+    source = Neso(stub.url, None, None, wait=lambda answer: answer.wait(0.05))
+    day = timedelta(days=1)
+    with pytest.raises(ForecastLate):
+        source.past(START - 3 * day, START - 2 * day)
+    Slow.gate.set()
+    found: tuple[PastRow, ...] = ()
+    while not found:
+        with suppress(ForecastLate):
+            found = source.past(slot_start(START - day), slot_start(START))
+    assert (found[0].start, len(found)) == (slot_start(START - day), 48)

@@ -15,6 +15,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from plugd.adapters import store as store_module
+from plugd.adapters import store_past
 from plugd.adapters.store import SqliteStore
 from plugd.adapters.store_pack import pack, unpack
 from plugd.domain import (
@@ -23,6 +24,7 @@ from plugd.domain import (
     Memory,
     Mode,
     Overrides,
+    PastRow,
     Plan,
     PlanSlot,
     Presence,
@@ -184,8 +186,8 @@ def test_a_forecast_comes_back_as_issued(tmp_path: Path) -> None:
         store.keep(kept)
     with SqliteStore(tmp_path) as store:
         assert store.latest_forecast() == kept
-        assert store.forecasts(T0) == (forecast(T0, 1.0, 2.0), kept)
-        assert store.forecasts(issued) == (kept,)
+        assert tuple(store.issued(T0)) == (kept,)  # the other one is of another place
+        assert tuple(store.issued(issued + HALF_HOUR)) == ()
 
 
 @given(
@@ -240,17 +242,18 @@ def test_history_is_of_the_last_forecasts_region(tmp_path: Path) -> None:
 def test_old_rows_go_by_number_so_a_clock_years_ahead_empties_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for name in ("MOST_FORECASTS", "MOST_RECORDS", "MOST_SEEN"):
-        monkeypatch.setattr(store_module, name, 4)
+    monkeypatch.setattr(store_module, "MOST_RECORDS", 4)
+    for name, most in (("MOST_FORECASTS", 4), ("MOST_SEEN", 4), ("SWEPT_EVERY", 1)):
+        monkeypatch.setattr(store_past, name, most)
     with SqliteStore(tmp_path) as store:
         for k in range(10):
             store.keep(forecast(T0 + k * HALF_HOUR, 100.0 + k))
             store.append(record(T0 + k * HALF_HOUR))
-        assert [kept.issued_at for kept in store.forecasts(T0)] == [T0 + k * HALF_HOUR for k in (6, 7, 8, 9)]
+        assert [kept.issued_at for kept in store.issued(T0)] == [T0 + k * HALF_HOUR for k in (6, 7, 8, 9)]
         assert len(store.records(T0)) == 4
         assert len(store.history(T0)) <= 4
         store.keep(forecast(T0.replace(year=2033), 100.0))
-        assert len(store.forecasts(T0)) == 4
+        assert len(list(store.issued(T0))) == 4
 
 
 def test_thirty_days_fit_their_share_of_20_mb_in_13_months(tmp_path: Path) -> None:
@@ -418,8 +421,8 @@ def test_measured_values_are_history_from_then_on(tmp_path: Path) -> None:
     with SqliteStore(tmp_path) as store:
         store.keep(Forecast(begin, "national", tuple(Intensity(begin + k * HALF_HOUR, 100.0) for k in range(4))))
         store.keep(Forecast(T0, "national", (Intensity(T0, 100.0),)))
-        store.measure("national", (Intensity(begin, 77.0),))
-        store.measure("13", (Intensity(begin + HALF_HOUR, 11.0),))
+        store.keep_past("national", (PastRow(begin, None, 77.0),))
+        store.keep_past("13", (PastRow(begin + HALF_HOUR, None, 11.0),))
         assert [value.g_per_kwh for value in store.history(begin)] == [77.0, 100.0, 100.0, 100.0]
         assert store.measured(begin) == (Intensity(begin, 77.0),)
 

@@ -14,6 +14,7 @@ from plugd.domain import (
     Intensity,
     Memory,
     Nights,
+    Outlook,
     Plan,
     PlanSlot,
     Reading,
@@ -215,6 +216,14 @@ class Disk:
         """What was kept, or fail."""
         self._try("history")
         return self.ram.history(since)
+
+    def issued(self, since: datetime) -> tuple[Forecast, ...]:
+        """What was kept, or fail."""
+        self._try("issued")
+        return self.ram.issued(since)
+
+    def expect(self, at: datetime, outlook: Outlook) -> None:
+        """Nobody scores it."""
 
 
 @dataclass(slots=True)

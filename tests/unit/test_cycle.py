@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import pytest
 
-from plugd.cycle import FETCH_RETRY_S, PLUG_RETRY_S, Retry
+from plugd.cycle import FETCH_RETRY_S, PLUG_RETRY_S
 from plugd.domain import (
     Command,
     Memory,
@@ -26,6 +26,7 @@ from plugd.domain import (
 )
 from plugd.errors import ForecastMalformed, ForecastUnavailable, PlugFault, PlugRefused, PlugTimeout
 from plugd.perception import fresh
+from plugd.retry import Retry
 from plugd.units import next_slot, slot_start
 from tests.unit.deciding import CHARGER, EVENING, EXPECTED, NIGHT, READY_BY, Room, at, forecast, knows, minutes
 

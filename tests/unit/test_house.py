@@ -210,17 +210,8 @@ SINGLE = (
     "series",
 )
 CORE = (
-    "reasons",
-    "commands",
-    "command_words",
-    "perception",
-    "beat",
-    "flow",
-    "habits",
-    "ledger",
-    "remedies",
-    "score",
-    "charts",
+    *("reasons", "commands", "command_words", "perception", "beat", "flow", "ledger", "remedies", "score", "charts"),
+    *("habits", "past", "plausible", "retry", "scoring"),
 )
 PACKAGED = "config.loading", "adapters.store", "planner.qp", "planner.exact", "study.world"
 MODULES = ("__main__", *SINGLE, *CORE, *PACKAGED, "domain", "units", "errors")

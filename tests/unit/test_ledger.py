@@ -13,7 +13,7 @@ from plugd import ledger
 from plugd.book import Book
 from plugd.cycle import Cycle
 from plugd.domain import Household, Intensity, Nights, Reading
-from plugd.errors import ForecastUnavailable, StoreError
+from plugd.errors import StoreError
 from plugd.ledger import HalfHour, night, night_of, nights, settled, spread, taken_kwh, total, usual_arrival
 from plugd.perception import fresh
 from plugd.units import HALF_HOUR, slot_start
@@ -192,11 +192,9 @@ class Shelf:
     kept: dict[datetime, HalfHour] = field(default_factory=dict)
     writes: int = 0
     full: bool = False
-    region: str = "national"
     level: float = 80.0
     away: bool = False
-    seen: dict[datetime, float] = field(default_factory=dict)
-    asked: list[tuple[datetime, datetime]] = field(default_factory=list)
+    asked: list[datetime] = field(default_factory=list)
 
     def half_hours(self, since: datetime | None = None) -> tuple[HalfHour, ...]:
         """What is kept."""
@@ -209,22 +207,16 @@ class Shelf:
         self.writes += 1
         self.kept |= {r.start: r for r in rows}
 
-    def measure(self, region: str, values: Sequence[Intensity]) -> None:
-        """Keep."""
-        self.seen |= {value.start: value.g_per_kwh for value in values}
-
-    def measured(self, start: datetime, end: datetime) -> tuple[Intensity, ...]:
-        """The same value for all of it."""
-        self.asked.append((start, end))
-        if self.away:
-            raise ForecastUnavailable("no network")
-        return tuple(Intensity(start + k * HALF_HOUR, self.level) for k in range((end - start) // HALF_HOUR))
+    def measured(self, since: datetime) -> tuple[Intensity, ...]:
+        """The same value for all of a fortnight."""
+        self.asked.append(since)
+        return () if self.away else tuple(Intensity(since + k * HALF_HOUR, self.level) for k in range(14 * 48))
 
 
 def housed(shelf: Shelf, start: datetime = START, soc: float = 0.4) -> Room:
     """A household whose cycle keeps a ledger."""
     room = Room(start, knows(soc, start))
-    room.cycle.book = Book(shelf, shelf, HOME)
+    room.cycle.book = Book(shelf, HOME)
     return room
 
 
@@ -274,7 +266,7 @@ def test_a_restart_in_the_middle_of_a_half_hour_loses_no_energy() -> None:
         room.step(START + minutes(minute))
         if minute % 140 == 0:
             memory = room.cycle.memory
-            room.begin(memory).book = Book(shelf, shelf, HOME)
+            room.begin(memory).book = Book(shelf, HOME)
     assert room.plug.energy_kwh > 2.0
     assert sum(r.kwh for r in book_of(room.cycle).known()[0]) == pytest.approx(room.plug.energy_kwh)
 
@@ -320,10 +312,9 @@ def test_figures_change_once_when_they_are_measured_and_then_stand_still() -> No
     again, _ = book_of(room.cycle).known()
     assert again[: len(first)] == final[: len(first)]
     assert 10.0 in {r.final_g_per_kwh for r in again}
-    assert shelf.seen[START] == 80.0
 
 
-def test_without_a_network_nothing_is_made_final_and_it_asks_again_only_after_hours() -> None:
+def test_as_long_as_nothing_is_measured_nothing_is_made_final_and_it_looks_again_only_after_hours() -> None:
     shelf = Shelf(away=True)
     room = housed(shelf)
     room.run(START + timedelta(hours=48))
@@ -342,7 +333,7 @@ def test_a_clock_set_back_overwrites_nothing() -> None:
 
 def test_an_arrival_that_was_told_is_entered() -> None:
     shelf = Shelf()
-    book = Book(shelf, shelf, HOME)
+    book = Book(shelf, HOME)
     memory = fresh(START)
     here = replace(memory, presence=replace(memory.presence, connected=True, since=START + minutes(3)))
     assert ledger.opened(START, memory, HOME, 1.0).arrival == START
@@ -361,7 +352,7 @@ def test_old_nights_count_in_the_total_when_they_are_no_longer_at_hand() -> None
         clean = replace(row(0), start=begin + HALF_HOUR, night=day, arrival=begin, kwh=0.5, g_per_kwh=50.0)
         dirty = replace(clean, start=begin, kwh=0.0, g_per_kwh=250.0)
         shelf.enter([replace(r, final_g_per_kwh=r.g_per_kwh) for r in (dirty, clean)])
-    book = Book(shelf, shelf, HOME)
+    book = Book(shelf, HOME)
     room = housed(shelf, START + timedelta(days=50))
     room.cycle.book = book
     room.step()

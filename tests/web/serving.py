@@ -47,7 +47,7 @@ class Served:
     ) -> None:
         self.room = Room(start, memory or knows(0.6, start))
         shelf = Shelf()
-        book = Book(shelf, shelf, HOME)
+        book = Book(shelf, HOME)
         self.room.cycle.book = book
         self.desk = Desk(self.room.cycle.hub, HOME, book.known, self.room.clock.monotonic)
         self.room.cycle.hub = self.desk
