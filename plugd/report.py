@@ -3,12 +3,12 @@
 import csv
 import io
 from bisect import bisect_right
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from zoneinfo import ZoneInfo
 
-from plugd import daemon, ledger
+from plugd import daemon, ledger, scoring
 from plugd.adapters.store import SqliteStore
 from plugd.config import Config, household
 from plugd.domain import Forecast, Household, Intensity
@@ -53,6 +53,9 @@ class Report:
     total: Sum
     replays: tuple[Replay, ...]
     scores: tuple[LeadScore, ...]
+    """Of every forecast as issued in these nights."""
+    compared: Mapping[str, tuple[LeadScore, ...]]
+    """Of plugd's own outlook, the source's forecast and persistence, in the last 30 days that are scored."""
 
     @property
     def zone(self) -> ZoneInfo:
@@ -77,6 +80,7 @@ def gathered(
         since = rows[0].start
         forecasts, measured = tuple(store.issued(since)), store.measured(since)
         history = store.history(since - HISTORY)
+        compared = scoring.summed(store.tallies((rows[-1].start - scoring.SCORED).date()))
     car = home.car
     found = ledger.nights(rows, car.efficiency, car.capacity_kwh)
     nights = tuple(n for n in found if n.session_end is not None or n.kwh > ledger.LITTLE_KWH)
@@ -98,6 +102,7 @@ def gathered(
         total=ledger.total(nights),
         replays=tuple(replays()) if forecasts else (),
         scores=scores(forecasts, measured),
+        compared=compared,
     )
 
 
@@ -219,17 +224,8 @@ def document(report: Report) -> dict[str, object]:
             }
             for replay in report.replays
         ],
-        "forecast": [
-            {
-                "from_h": score.from_h,
-                "to_h": score.to_h,
-                "half_hours": score.count,
-                "mean_abs_g_per_kwh": round(score.mean_abs_g_per_kwh, 2),
-                "bias_g_per_kwh": round(score.bias_g_per_kwh, 2),
-                "mean_abs_pct": round(score.mean_abs_pct, 2),
-            }
-            for score in report.scores
-        ],
+        "forecast": [scoring.row(score) for score in report.scores],
+        "score": {who: [scoring.row(score) for score in rows] for who, rows in report.compared.items()},
     }
 
 
@@ -278,7 +274,7 @@ def lines(report: Report) -> list[str]:
             f"  {s.from_h:>2} to {s.to_h:>2} h ahead: {s.mean_abs_g_per_kwh:.0f} g/kWh ({s.mean_abs_pct:.0f} %)"
             for s in report.scores
         ]
-    return said
+    return said + scoring.lines(report.compared)
 
 
 def _line(night: Night) -> str:

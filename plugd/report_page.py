@@ -5,7 +5,7 @@ from datetime import datetime
 from html import escape
 from importlib.resources import files
 
-from plugd import __version__
+from plugd import __version__, scoring
 from plugd.charts import Frame, box, ceiling, days, line, rule, scale, svg, text
 from plugd.ledger import LITTLE_KWH, Night, Sum
 from plugd.report import Report, headline
@@ -239,11 +239,16 @@ def _forecast(report: Report) -> str:
         )
         for s in report.scores
     ]
-    return _table(
+    issued = _table(
         "Every forecast as issued against what was measured.",
         ("looking ahead", "off by, g/kWh", "in percent", "too high by", "half hours"),
         rows,
     )
+    compared = list(scoring.table(report.compared))
+    if not compared:
+        return issued
+    head = ("looking ahead", "plugd's outlook, g/kWh", "NESO's forecast", "the day before")
+    return issued + _table(f"Off by, of the same half hours of the last {scoring.SCORED.days} days.", head, compared)
 
 
 def _explained(report: Report) -> str:

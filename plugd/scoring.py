@@ -120,3 +120,28 @@ def table(scores: Mapping[str, tuple[LeadScore, ...]]) -> Iterator[tuple[str, st
         if any(cell is not None for cell in cells):
             ours, neso, persistence = ("-" if cell is None else f"{cell:.0f}" for cell in cells)
             yield f"{step[0]} to {step[1]} h", ours, neso, persistence
+
+
+def row(score: LeadScore) -> dict[str, object]:
+    """A score, for programs."""
+    return {
+        "from_h": score.from_h,
+        "to_h": score.to_h,
+        "half_hours": score.count,
+        "mean_abs_g_per_kwh": round(score.mean_abs_g_per_kwh, 2),
+        "bias_g_per_kwh": round(score.bias_g_per_kwh, 2),
+        "mean_abs_pct": round(score.mean_abs_pct, 2),
+    }
+
+
+def lines(scores: Mapping[str, tuple[LeadScore, ...]]) -> list[str]:
+    """The score, for people; nothing where nothing is scored."""
+    rows = list(table(scores))
+    if not rows:
+        return []
+    return [
+        "",
+        f"Off by so many g/kWh in the last {SCORED.days} days, on average:",
+        f"  {'ahead':<11}{'plugd':>7}{'NESO':>7}{'the day before':>16}",
+        *(f"  {step:<11}{ours:>7}{neso:>7}{persistence:>16}" for step, ours, neso, persistence in rows),
+    ]

@@ -1,5 +1,6 @@
 """What the store lacks of the past: asked for politely, once, and gone on with after a restart."""
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
@@ -57,7 +58,7 @@ def test_the_first_start_asks_for_eight_weeks_newest_first_one_page_a_second(tmp
         assert store.lacks("national", slot_start(NOW) - HISTORY, slot_start(NOW), measured=True) == 0
         assert len(store.history(slot_start(NOW) - HISTORY)) == 56 * 48
     assert 4 <= len(moments) <= 5
-    assert all((b - a) >= timedelta(seconds=1) for a, b in zip(moments, moments[1:], strict=False))
+    assert all((b - a) >= timedelta(seconds=1) for a, b in itertools.pairwise(moments))
     assert moments[-1] - NOW < timedelta(seconds=10)
     assert [start for start, _ in api.asked] == sorted((start for start, _ in api.asked), reverse=True)
     assert all(end - start <= PAGE for start, end in api.asked)
@@ -103,7 +104,7 @@ def test_after_a_failure_the_pauses_grow_and_the_other_pages_come_first(tmp_path
     with SqliteStore(tmp_path) as store:
         moments = run(CatchUp(api, store, lambda: 1.0), NOW + timedelta(hours=6))
         assert store.lacks("national", slot_start(NOW) - HISTORY, slot_start(NOW), measured=True) == 0
-    waits = [(b - a).total_seconds() for a, b in zip(moments, moments[1:], strict=False)]
+    waits = [(b - a).total_seconds() for a, b in itertools.pairwise(moments)]
     assert waits[:3] == [90.0, 900.0, 5400.0]
     assert len({start for start, _ in api.asked[:4]}) == 4
 
