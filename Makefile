@@ -20,7 +20,7 @@ LOCK := $(VENV)-lock/bin/uv pip compile --quiet --universal --python-version 3.1
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 export PIP_ROOT_USER_ACTION = ignore
 
-.PHONY: help demo test hub-test pictures weeks study plugs deadman fuzz can-week can-fuzz scenarios natural check bench lock clean
+.PHONY: help demo test hub-test pictures weeks study plugs deadman fuzz broken can-week can-fuzz scenarios natural check bench lock clean
 .DELETE_ON_ERROR:
 
 help: ## what can be made
@@ -55,6 +55,9 @@ deadman: $(READY) ## plugd killed at each quarter hour of many nights: the plug 
 
 fuzz: $(READY) ## a million payloads at everything that a plug may say
 	$(VENV)/bin/python -m tests.fuzz_plugs --payloads 1000000 $(ARGS)
+
+broken: $(READY) ## weeks with a broken API on measured intensity ($PLUGD_DATA): no morning missed, little more carbon
+	$(VENV)/bin/python -m tests.broken_api $(ARGS)
 
 can-week: $(READY) ## a week of the demo with the charger on CAN: no morning missed
 	$(VENV)/bin/python tests/can_week.py

@@ -1,8 +1,9 @@
 """Whether an answer of the source may be true: values off by a factor of ten would make plugd wait, or not wait.
 
 Its level (the median) is held against the own history, its level of the last eight weeks and of the last hours. An
-answer is doubted only where it is out by a factor *and* outside everything seen in those weeks: of GB's actuals of
-2020 to 2023 no 48 hours are, and ten times or a tenth of them always is. Where a genuine 0 was seen nothing is too low.
+answer is doubted only where it is out by a factor *and* outside nearly all that was seen in those weeks: of GB's
+actuals of 2020 to 2023 no 48 hours are, and ten times or a tenth of them always is. Where 0 is nothing rare nothing is
+too low.
 """
 
 from collections.abc import Sequence
@@ -18,6 +19,8 @@ FACTOR = 3.0
 LEAST_G_PER_KWH = 10.0
 """Levels below count as this: a factor between two of them says nothing."""
 RECENT = timedelta(hours=6)
+RARE = 0.01
+"""Share of the history at either end that may be glitches: actuals of 0 are among NESO's."""
 ENOUGH = 96
 """Half hours of history from which on it is believed; before, only far too much is told from the usual level."""
 
@@ -31,15 +34,17 @@ def doubt(values_g_per_kwh: Sequence[float], history: Sequence[Intensity]) -> st
     if len(known) < ENOUGH:
         usual, least, most = TYPICAL_G_PER_KWH, 0.0, FACTOR * TYPICAL_G_PER_KWH
     else:
-        least, most = min(known), max(known)
+        known.sort()
+        rare = int(RARE * len(known))
+        least, most = known[rare], known[-1 - rare]
         if least <= level <= most:
             return None
         recent = median(value.g_per_kwh for value in history if value.start > history[-1].start - RECENT)
         usual = sqrt(max(median(known), LEAST_G_PER_KWH) * max(recent, LEAST_G_PER_KWH))
     if level > FACTOR * usual and level > most:
-        return f"{level:.0f} g/kWh, where {usual:.0f} is usual and {most:.0f} the most of the last weeks"
+        return f"{level:.0f} g/kWh, where {usual:.0f} is usual and {most:.0f} nearly the most of the last weeks"
     if level < usual / FACTOR and level < least:
-        return f"{level:.0f} g/kWh, where {usual:.0f} is usual and {least:.0f} the least of the last weeks"
+        return f"{level:.0f} g/kWh, where {usual:.0f} is usual and {least:.0f} nearly the least of the last weeks"
     return None
 
 

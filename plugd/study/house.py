@@ -28,7 +28,7 @@ from plugd.domain import (
     Wanted,
 )
 from plugd.planner.problem import Solver
-from plugd.ports import Inbox
+from plugd.ports import ForecastSource, Inbox
 from plugd.study.world import Battery, Morning, Stay
 from plugd.units import HALF_HOUR, hours, pieces, slot_start
 
@@ -171,8 +171,12 @@ class RamStore:
     def keep(self, forecast: Forecast) -> None:
         """Remember the nearest expectation of each half hour, and what was measured."""
         self.forecasts.append(forecast)
-        for row in (*forecast.expected[:2], *forecast.actual):
-            self.seen[row.start] = row
+        last = next(reversed(self.seen), None)
+        rows = (*forecast.actual, *forecast.expected[:2])
+        late = any(last is not None and row.start < last and row.start not in self.seen for row in rows)
+        self.seen |= {row.start: row for row in rows}
+        if late:  # measured after an outage
+            self.seen = dict(sorted(self.seen.items()))
 
     def latest_forecast(self) -> Forecast | None:
         """None: a simulation begins without one."""
@@ -198,7 +202,7 @@ class House:
 
     household: Household
     solver: Solver
-    source: FunctionSource
+    source: ForecastSource
     stays: Iterator[Stay]
     start: datetime
     battery: Battery = field(default_factory=Battery)

@@ -1,5 +1,6 @@
 """Answers off by a factor are doubted; the grid's real swings never are."""
 
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -23,8 +24,11 @@ def test_an_answer_out_by_a_factor_and_out_of_all_that_was_seen_is_doubted(level
     assert (doubt([level] * 96, USUAL) is None) is believable
 
 
-def test_where_a_genuine_zero_was_seen_nothing_is_too_low() -> None:
-    assert doubt([0.0] * 96, (*USUAL, Intensity(USUAL[-1].start + HALF_HOUR, 0.0))) is None
+def test_where_zero_is_nothing_rare_nothing_is_too_low_and_one_that_is_a_glitch_changes_nothing() -> None:
+    often = tuple(replace(row, g_per_kwh=0.0) if k % 7 == 0 else row for k, row in enumerate(USUAL))
+    assert doubt([0.0] * 96, often) is None
+    once = (*USUAL[:-1], replace(USUAL[-1], g_per_kwh=0.0))
+    assert doubt([15.0] * 96, once) is not None
 
 
 @pytest.mark.parametrize(("level", "believable"), [(20.0, True), (440.0, True), (900.0, False)])
@@ -34,7 +38,9 @@ def test_without_history_only_far_too_much_is_told(level: float, believable: boo
 
 def test_it_is_said_in_one_line_and_nothing_at_all_is_not_doubted() -> None:
     tens = Forecast(START, "national", tuple(Intensity(row.start, 900.0) for row in USUAL[:96]))
-    with pytest.raises(ForecastMalformed, match=r"is not used: it says 900 g/kWh, where 177 is usual and 210 the most"):
+    with pytest.raises(
+        ForecastMalformed, match=r"is not used: it says 900 g/kWh, where 177 is usual and 210 nearly the most"
+    ):
         believed(tens, USUAL)
     assert doubt([], USUAL) is None
 
