@@ -23,6 +23,8 @@ from plugd.domain import (
     Intensity,
     Memory,
     Mode,
+    Outlook,
+    OutlookSlot,
     Overrides,
     PastRow,
     Plan,
@@ -32,6 +34,7 @@ from plugd.domain import (
     Session,
     SessionPlan,
     Setpoint,
+    SlotSource,
     SocEstimate,
     Status,
     Switch,
@@ -40,7 +43,7 @@ from plugd.domain import (
 )
 from plugd.errors import AlreadyRunning, StoreError
 from plugd.ledger import HalfHour
-from plugd.ports import Store
+from plugd.ports import Store, Tally
 from plugd.units import HALF_HOUR
 
 T0 = datetime(2023, 3, 14, 17, 0, tzinfo=UTC)
@@ -266,6 +269,85 @@ def test_thirty_days_fit_their_share_of_20_mb_in_13_months(tmp_path: Path) -> No
             if k % 48 == 0:  # a page or two, always the same ones
                 store.save(replace(FULL, plan=planned(88), observed_kw=float(k)))
     assert (tmp_path / "plugd.db").stat().st_size < 16e6 * days / 396  # 4 MB are the write-ahead log's
+
+
+def test_forecasts_in_order_tell_what_was_measured_as_it_became_known(tmp_path: Path) -> None:
+    """A value is kept with the first forecast that told it, and once more when it is revised."""
+    first, second = (Intensity(T0 - k * HALF_HOUR, 90.0) for k in (4, 3))
+    revised = replace(first, g_per_kwh=88.0)
+    with SqliteStore(tmp_path) as store:
+        for k, actual in enumerate(((first,), (first, second), (first, second), (revised, second), (revised, second))):
+            store.keep(replace(forecast(T0 + k * HALF_HOUR, 100.0), actual=actual))
+        assert [kept.actual for kept in store.issued(T0)] == [(first,), (second,), (), (revised,), ()]
+        assert store.measured(T0 - timedelta(days=1)) == (revised, second)
+        latest = store.latest_forecast()
+        assert latest is not None
+        assert latest.issued_at == T0 + 4 * HALF_HOUR
+
+
+def test_history_is_known_before_there_ever_was_a_forecast(tmp_path: Path) -> None:
+    with SqliteStore(tmp_path) as store:
+        store.keep_past("national", [PastRow(T0 + k * HALF_HOUR, 100.0, None if k == 1 else 90.0) for k in range(3)])
+        assert [row.g_per_kwh for row in store.history(T0)] == [90.0, 100.0, 90.0]
+
+
+def test_what_is_swept_out_becomes_part_of_its_day(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, most in (("MOST_SEEN", 10), ("SWEPT_EVERY", 1)):
+        monkeypatch.setattr(store_past, name, most)
+    start = T0.replace(hour=0)
+    with SqliteStore(tmp_path) as store:
+        for k in range(48 + 10):
+            store.keep(forecast(start + k * HALF_HOUR, 100.0 + k))
+        assert store.days() == (("national", "2023-03-14", 48, 123.5, 100.0, 147.0),)
+        assert len(store.history(start)) == 9
+
+
+def test_what_was_expected_comes_back_once_a_half_hour(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(store_past, "MOST_OUTLOOKS", 2)
+
+    def outlook(level: float) -> Outlook:
+        return Outlook((OutlookSlot(T0, level, 1.0, SlotSource.TAIL),), None)
+
+    with SqliteStore(tmp_path) as store:
+        for minute, level in ((0, 1.0), (30, 2.0), (60, 3.0), (65, 4.04)):
+            store.expect(T0 + timedelta(minutes=minute), outlook(level))
+        assert store.outlooks(T0) == {T0 + HALF_HOUR: {T0: 2.0}, T0 + 2 * HALF_HOUR: {T0: 4.0}}
+
+
+def test_scores_come_back_and_a_day_without_any_counts_as_scored(tmp_path: Path) -> None:
+    day = date(2023, 3, 12)
+    tally = Tally(day, "ours", 0, 6, 48, 480.0, -48.0, 7200.0)
+    with SqliteStore(tmp_path) as store:
+        assert store.scored() is None
+        store.score(day, (tally,))
+        store.score(day + timedelta(days=1), ())
+    with SqliteStore(tmp_path) as store:
+        assert store.scored() == day + timedelta(days=1)
+        assert store.tallies(day) == (tally,)
+        assert store.tallies(day + timedelta(days=1)) == ()
+
+
+def written_bytes() -> int:
+    """What this process has handed to the system to write, so far."""
+    lines = Path("/proc/self/io").read_text(encoding="ascii").splitlines()
+    return int(next(line for line in lines if line.startswith("wchar:")).split()[1])
+
+
+def test_a_day_writes_less_than_its_share_of_2_mb(tmp_path: Path) -> None:
+    """With a real day's revisions, and the outlook of four nights; the memory of every half hour comes on top."""
+    with SqliteStore(tmp_path) as store:
+        for k in range(96):
+            if k == 48:  # the write-ahead log has its size by then
+                before = written_bytes()
+            now = T0 + k * HALF_HOUR
+            values = (float((k * k + 7919 * j * j) % 260 + 40) for j in range(96))
+            actual = (Intensity(now - j * HALF_HOUR, 90.0 + (k - j) % 7 + (j > 20)) for j in range(52, 2, -1))
+            store.keep(replace(forecast(now, *values), actual=tuple(actual)))
+            slots = (OutlookSlot(now + j * HALF_HOUR, 100.0 + k + j % 50, 9.0, SlotSource.TAIL) for j in range(180))
+            store.expect(now, Outlook(tuple(slots), None))
+            store.append(record(now))
+            store.save(replace(FULL, plan=planned(88), observed_kw=float(k)))
+        assert written_bytes() - before < 1.5e6
 
 
 def test_a_second_daemon_is_turned_away_and_a_reader_is_not(tmp_path: Path) -> None:

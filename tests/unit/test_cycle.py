@@ -1,6 +1,6 @@
 """The cycle: what it does when, and that no port's failure stops it."""
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from itertools import pairwise
 
@@ -9,6 +9,7 @@ import pytest
 from plugd.cycle import FETCH_RETRY_S, PLUG_RETRY_S
 from plugd.domain import (
     Command,
+    Intensity,
     Memory,
     Mode,
     Overrides,
@@ -24,7 +25,16 @@ from plugd.domain import (
     Status,
     Trip,
 )
-from plugd.errors import ForecastMalformed, ForecastUnavailable, PlugFault, PlugRefused, PlugTimeout
+from plugd.errors import (
+    ForecastLate,
+    ForecastMalformed,
+    ForecastUnavailable,
+    PlugFault,
+    PlugRefused,
+    PlugTimeout,
+    StoreError,
+)
+from plugd.past import LATE
 from plugd.perception import fresh
 from plugd.retry import Retry
 from plugd.units import next_slot, slot_start
@@ -603,6 +613,73 @@ def test_a_restart_obeys_what_was_said_meanwhile() -> None:
     house.hub.said.append(SetMode(Mode.NOW))
     house.step(NIGHT + minutes(5))
     assert house.plug.told == [OFF, ON]
+
+
+# -- a source that is late, or wrong ---------------------------------------------------------------
+
+
+def test_a_forecast_that_is_late_is_no_fault_and_is_planned_with_once_it_is_there() -> None:
+    house = room()
+    house.source.error = ForecastLate("not yet")
+    due = house.step()
+    assert due == EVENING + LATE
+    assert house.faults() == {}
+    assert house.cycle.decision is not None  # planned with the usual day meanwhile
+    house.source.error = None
+    house.step(due)
+    assert (house.solver.calls, house.source.asked) == (2, [EVENING, due])
+    assert house.cycle.forecast is not None
+    house.step(due + LATE)
+    assert house.solver.calls == 2
+
+
+def test_a_forecast_ten_times_too_high_is_not_used_and_told_until_it_is_sound_again() -> None:
+    house = room()
+    usual = (Intensity(EVENING - k * minutes(30), 150.0 + k % 3) for k in range(2000, 0, -1))
+    house.disk.ram.seen |= {row.start: row for row in usual}
+    house.step()
+    good = house.cycle.forecast
+    assert good is not None
+    house.source.level = lambda start: 950.0
+    house.run(EVENING + timedelta(hours=3))
+    assert house.cycle.forecast is good
+    assert "it says 950 g/kWh" in house.faults()["forecast"]
+    assert "planning with the forecast of 2.5 h ago" in house.faults()["forecast"]
+    house.source.level = None
+    house.run(EVENING + timedelta(hours=4))
+    assert house.faults() == {}
+
+
+@dataclass(slots=True)
+class Chore:
+    """An errand that is always due."""
+
+    calls: list[tuple[datetime, bool]] = field(default_factory=list)
+    fails: bool = False
+    at: datetime | None = None
+
+    def step(self, now: datetime, wait: bool = False) -> None:
+        """Remember."""
+        self.calls.append((now, wait))
+        self.at = now + timedelta(seconds=1)
+        if self.fails:
+            raise StoreError("the card is full")
+
+
+def test_errands_are_run_beside_it_and_wait_where_the_source_was_asked() -> None:
+    house, chore = room(), Chore()
+    house.cycle.errands = (chore,)
+    assert house.step() == EVENING + timedelta(seconds=1)
+    house.step(EVENING + timedelta(seconds=1))
+    assert chore.calls == [(EVENING, True), (EVENING + timedelta(seconds=1), False)]
+    chore.fails = True
+    house.step(EVENING + timedelta(seconds=2))
+    house.step(EVENING + timedelta(seconds=3))
+    assert "store" in house.faults()
+    chore.fails = False
+    house.step(EVENING + timedelta(seconds=4))
+    house.step(EVENING + timedelta(seconds=5))
+    assert house.faults() == {}
 
 
 # -- whole stories --------------------------------------------------------------------------------
