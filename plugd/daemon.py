@@ -15,7 +15,7 @@ from types import FrameType
 from plugd import __version__, perception
 from plugd.adapters.hub import MqttHub, Topics
 from plugd.adapters.mqtt import Broker, MqttConnection
-from plugd.adapters.neso import Neso
+from plugd.adapters.neso import Neso, Wait, to_the_end
 from plugd.adapters.openevse import OpenEvse, whole_amps
 from plugd.adapters.plain import PRESETS, Plain
 from plugd.adapters.shelly2 import Shelly2
@@ -111,18 +111,21 @@ def _can_charger(config: Config, clock: Clock) -> Plug:
     return charger(config, capability_of(config), clock=clock)
 
 
-def source_for(config: Config, clock: Clock | None = None) -> Neso:
-    """The source for the configured place. With a clock nobody waits for it longer than `PATIENCE_S`."""
-    base_url, home = config.forecast.base_url, config.home
-    if clock is None:
-        return Neso(base_url, home.region_id, home.postcode)
+def source_for(config: Config, wait: Wait = to_the_end) -> Neso:
+    """The source for the configured place; `wait` is how long its answers are waited for."""
+    home = config.home
+    return Neso(config.forecast.base_url, home.region_id, home.postcode, wait=wait)
+
+
+def patience(clock: Clock) -> Wait:
+    """Waits no longer than the loop may be held up."""
 
     def wait(answer: Inbox) -> None:
         until_s = clock.monotonic() + PATIENCE_S
         while not answer.pending() and (left_s := until_s - clock.monotonic()) > 0.0:
             clock.wait(clock.now() + timedelta(seconds=left_s), answer)
 
-    return Neso(base_url, home.region_id, home.postcode, wait=wait)
+    return wait
 
 
 def hub_for(config: Config, connection: MqttConnection, plug: Plug) -> MqttHub:
@@ -143,7 +146,7 @@ def cycle_for(config: Config, clock: Clock, connection: MqttConnection, store: S
     remembered = _remembered(store)
     home = household(config, plug.capability)
     seed = f"{config.name}/{config.plug.topic}"
-    source = source_for(config, clock)
+    source = source_for(config, patience(clock=clock))
     spread = random.Random(seed).random
     return Cycle(
         clock=clock,

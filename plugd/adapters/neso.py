@@ -23,7 +23,8 @@ MEASURED = timedelta(hours=26)
 Wait = Callable[[Inbox], None]
 
 
-def _to_the_end(inbox: Inbox) -> None:
+def to_the_end(inbox: Inbox) -> None:
+    """However long it takes: the question has its own end."""
     inbox.flush()
 
 
@@ -39,7 +40,7 @@ class Neso:
         region_id: int | None,
         postcode: str | None,
         timeout_s: float = 10.0,
-        wait: Wait = _to_the_end,
+        wait: Wait = to_the_end,
     ) -> None:
         """`wait` for an answer, as long as the caller can; one not there by then is ForecastLate.
 
