@@ -18,6 +18,7 @@ import requests
 import urllib3.exceptions as urllib3_errors
 
 from plugd import __version__
+from plugd.adapters.bell import Bell
 from plugd.adapters.neso_body import error_message, quotable
 from plugd.errors import ForecastError, ForecastMalformed, ForecastUnavailable
 from plugd.units import iso
@@ -32,11 +33,12 @@ _TRANSPORT = (requests.RequestException, urllib3_errors.HTTPError, HTTPException
 """What requests and what lies under it may raise for a question that cannot be asked or answered."""
 
 
-class Asked:
+class Asked(Bell):
     """Some addresses asked one after the other. An inbox: a clock can wait for its end."""
 
     def __init__(self, urls: Sequence[str], now: datetime, timeout_s: float) -> None:
         """`now`: what time it is here, for what is said of a certificate. All answers together have `timeout_s`."""
+        super().__init__()
         self.now = now
         self.bodies: list[bytes] = []
         """The answers that came, in the order of the addresses."""
@@ -45,27 +47,16 @@ class Asked:
         self._timeout_s = timeout_s
         self._deadline_s = time.monotonic() + timeout_s
         self._host = host_of(urls[0])
-        self._ended = threading.Event()
-        self._bell = threading.Event()
+        self._ended = False
         threading.Thread(target=self._ask, args=(urls,), name="neso", daemon=True).start()
 
     def pending(self) -> bool:
         """Whether it has ended."""
-        return self._ended.is_set()
-
-    def wait(self, timeout_s: float) -> None:
-        """Until it has ended, the time is over, or `wake`."""
-        self._bell.wait(timeout_s)
-        if not self._ended.is_set():
-            self._bell.clear()
-
-    def wake(self) -> None:
-        """End a wait."""
-        self._bell.set()
+        return self._ended
 
     def flush(self) -> None:
         """Until it has ended, however long it may take."""
-        self._ended.wait(max(0.0, self._deadline_s - time.monotonic()) + GRACE_S)
+        self._bell.hold(self.pending, max(0.0, self._deadline_s - time.monotonic()) + GRACE_S)
 
     @property
     def overdue(self) -> bool:
@@ -85,8 +76,8 @@ class Asked:
                     if self.error is not None:
                         break
         finally:
-            self._ended.set()
-            self._bell.set()
+            self._ended = True
+            self._bell.look()
 
     def _next(self, session: requests.Session, question: "_Question") -> None:
         try:
