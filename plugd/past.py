@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 
-from plugd.domain import PastRow
+from plugd.domain import Intensity, PastRow
 from plugd.errors import ForecastError, ForecastLate, ForecastMalformed
 from plugd.plausible import doubt
 from plugd.ports import Archive, PastSource
@@ -23,7 +23,7 @@ PAUSE = timedelta(seconds=1)
 """Between two questions about the past, at least."""
 LATE = timedelta(seconds=5)
 """After this it is looked again whether an answer has come that was not there at once."""
-LOOK_AGAIN = timedelta(hours=6)
+LOOK_AGAIN = timedelta(hours=1)
 RECENT = timedelta(hours=2)
 """So new that it may not be measured yet."""
 RETRY_S = (60.0, 600.0, 3600.0, 21600.0)
@@ -88,8 +88,8 @@ class CatchUp:
 
     def _believe(self, rows: Sequence[PastRow], now: datetime) -> None:
         """Raises ForecastMalformed for values that cannot be true."""
-        told = (row.forecast if row.actual is None else row.actual for row in rows)
-        why = doubt([value for value in told if value is not None], self.store.history(now - HISTORY))
+        told = ((row.start, row.forecast if row.actual is None else row.actual) for row in rows)
+        why = doubt([Intensity(start, g) for start, g in told if g is not None], self.store.history(now - HISTORY))
         if why is not None:
             raise ForecastMalformed(f"NESO's answer is not used: it says {why}")
 

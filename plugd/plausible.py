@@ -1,56 +1,64 @@
 """Whether an answer of the source may be true: values off by a factor of ten would make plugd wait, or not wait.
 
-Its level (the median) is held against the own history, its level of the last eight weeks and of the last hours. An
-answer is doubted only where it is out by a factor *and* outside nearly all that was seen in those weeks: of GB's
-actuals of 2020 to 2023 no 48 hours are, and ten times or a tenth of them always is. Where 0 is nothing rare nothing is
-too low.
+Two looks at it. Its first hours are held against the last ones that are known: the grid does not go to four times or a
+quarter of itself within three hours, least of all below `QUIET_G_PER_KWH`. And its level (the median) against that of
+the last eight weeks: it is doubted where it is both out by a factor and beyond nearly all that was seen in them. GB's
+actuals of 2020 to 2023 pass both at every hour, and ten times or a tenth of them never does. Where 0 is nothing rare
+nothing is too low.
 """
 
 from collections.abc import Sequence
 from datetime import timedelta
-from math import sqrt
 from statistics import median
 
 from plugd.domain import Forecast, Intensity
 from plugd.errors import ForecastMalformed
 from plugd.outlook import TYPICAL_G_PER_KWH
 
-FACTOR = 3.0
-LEAST_G_PER_KWH = 10.0
-"""Levels below count as this: a factor between two of them says nothing."""
-RECENT = timedelta(hours=6)
+JUMP = 4.0
+QUIET_G_PER_KWH = 40.0
+"""Values below count as this in a jump: a windy region goes from 3 to 30 g/kWh in no time."""
+NEAR = 3
+"""Half hours on either side of a jump."""
+FRESH = timedelta(hours=4)
+"""What was known longer ago says nothing about now."""
+TOO_HIGH, TOO_LOW = 2.5, 4.0
+"""Out by so much of the level of the last weeks."""
 RARE = 0.01
 """Share of the history at either end that may be glitches: actuals of 0 are among NESO's."""
 ENOUGH = 96
 """Half hours of history from which on it is believed; before, only far too much is told from the usual level."""
 
 
-def doubt(values_g_per_kwh: Sequence[float], history: Sequence[Intensity]) -> str | None:
-    """What is wrong with the level of these values, None where nothing is. `history` in order of time."""
-    if not values_g_per_kwh:
+def doubt(told: Sequence[Intensity], history: Sequence[Intensity]) -> str | None:
+    """What is wrong with these values, None where nothing is. Both in order of time."""
+    if not told:
         return None
-    level = median(values_g_per_kwh)
-    known = [value.g_per_kwh for value in history]
+    level = median(row.g_per_kwh for row in told)
+    known = sorted(row.g_per_kwh for row in history)
     if len(known) < ENOUGH:
-        usual, least, most = TYPICAL_G_PER_KWH, 0.0, FACTOR * TYPICAL_G_PER_KWH
-    else:
-        known.sort()
-        rare = int(RARE * len(known))
-        least, most = known[rare], known[-1 - rare]
-        if least <= level <= most:
-            return None
-        recent = median(value.g_per_kwh for value in history if value.start > history[-1].start - RECENT)
-        usual = sqrt(max(median(known), LEAST_G_PER_KWH) * max(recent, LEAST_G_PER_KWH))
-    if level > FACTOR * usual and level > most:
-        return f"{level:.0f} g/kWh, where {usual:.0f} is usual and {most:.0f} nearly the most of the last weeks"
-    if level < usual / FACTOR and level < least:
-        return f"{level:.0f} g/kWh, where {usual:.0f} is usual and {least:.0f} nearly the least of the last weeks"
+        most = TOO_HIGH * TYPICAL_G_PER_KWH
+        return None if level <= most else f"{level:.0f} g/kWh, where {TYPICAL_G_PER_KWH:.0f} is usual"
+    if timedelta(0) <= told[0].start - history[-1].start <= FRESH:
+        before, after = (max(QUIET_G_PER_KWH, _middle(part)) for part in (history[-NEAR:], told[:NEAR]))
+        if not before / JUMP <= after <= JUMP * before:
+            return f"{_middle(told[:NEAR]):.0f} g/kWh, right after {_middle(history[-NEAR:]):.0f}"
+    rare = int(RARE * len(known))
+    least, usual, most = known[rare], median(known), known[-1 - rare]
+    if level > max(TOO_HIGH * usual, most):
+        return f"{level:.0f} g/kWh, where {usual:.0f} is usual and hardly ever more than {most:.0f}"
+    if level < min(usual / TOO_LOW, least):
+        return f"{level:.0f} g/kWh, where {usual:.0f} is usual and hardly ever less than {least:.0f}"
     return None
 
 
+def _middle(rows: Sequence[Intensity]) -> float:
+    return median(row.g_per_kwh for row in rows)
+
+
 def believed(forecast: Forecast, history: Sequence[Intensity]) -> Forecast:
-    """The forecast. Raises ForecastMalformed for one whose level cannot be true."""
-    why = doubt([row.g_per_kwh for row in forecast.expected], history)
+    """The forecast. Raises ForecastMalformed for one that cannot be true."""
+    why = doubt(forecast.expected, history)
     if why is not None:
         raise ForecastMalformed(f"NESO's answer is not used: it says {why}")
     return forecast

@@ -15,9 +15,9 @@ from pathlib import Path
 
 from plugd import series
 from plugd.adapters.neso_body import NATIONAL, parse, parse_past
-from plugd.domain import Forecast, Household, Intensity, Nights, RelayRules
+from plugd.domain import Forecast, Household, Intensity, Nights, PastRow, RelayRules
 from plugd.errors import ForecastUnavailable
-from plugd.past import HISTORY
+from plugd.past import HISTORY, CatchUp
 from plugd.planner.exact import Exact
 from plugd.series import IntensitySeries
 from plugd.study.house import FunctionSource, House
@@ -61,16 +61,22 @@ class Api:
     source: SeriesSource
     fault: Fault
     start: datetime
-    refused: int = 0
+    now: datetime = START
+    region: str = NATIONAL
+    measures: bool = True
 
     def fetch(self, now: datetime) -> Forecast:
         """The forecast, and what was measured of the last day. Raises ForecastError."""
-        slot = slot_start(now)
+        self.now, slot = now, slot_start(now)
         forecast = parse(self._answer(f"{slot:%Y-%m-%dT%H:%MZ}/fw48h", now), now, NATIONAL)
-        first = slot - timedelta(hours=26)
-        past = self._answer(f"{first:%Y-%m-%dT%H:%MZ}/{slot:%Y-%m-%dT%H:%MZ}", now)
-        rows = [] if self.fault(now - self.start) == "lastweek" else parse_past(past, first, slot, NATIONAL)
+        rows = self.past(slot - timedelta(hours=26), slot)
         return replace(forecast, actual=tuple(Intensity(r.start, r.actual) for r in rows if r.actual is not None))
+
+    def past(self, start: datetime, end: datetime) -> tuple[PastRow, ...]:
+        """As the daemon's, by the time of the last forecast. Raises ForecastError."""
+        return parse_past(
+            self._answer(f"{start:%Y-%m-%dT%H:%MZ}/{end:%Y-%m-%dT%H:%MZ}", self.now), start, end, NATIONAL
+        )
 
     def _answer(self, question: str, now: datetime) -> bytes:
         fault = self.fault(now - self.start)
@@ -115,7 +121,9 @@ def lived(
     """The weeks in the house, with eight weeks of history behind it."""
     stays = Driver().stays(start)
     house = House(household, Exact(), source, stays, start)
-    house.store.seen |= {row.start: row for row in _before(grid, start)}
+    house.store.keep_past(NATIONAL, _before(grid, start))
+    if isinstance(source, Api):
+        house.cycle.errands = (CatchUp(source, house.store, lambda: 0.0),)
     house.run(start + timedelta(days=days))
     carbon_g = sum(kwh * (grid.actual_at(slot) or 0.0) for slot, kwh in house.plug.flows.items())
     kwh = sum(house.plug.flows.values())
@@ -123,13 +131,13 @@ def lived(
     return Outcome(carbon_g / kwh, kwh, missed, len(house.guarded), frozenset(house.hub.faults))
 
 
-def _before(grid: IntensitySeries, now: datetime) -> Iterator[Intensity]:
+def _before(grid: IntensitySeries, now: datetime) -> Iterator[PastRow]:
     """What had been measured by `now` of the eight weeks before."""
     slot = slot_start(now - HISTORY)
     while slot + HALF_HOUR + timedelta(hours=1) <= now:
         value = grid.actual_at(slot)
         if value is not None:
-            yield Intensity(slot, value)
+            yield PastRow(slot, None, value)
         slot += HALF_HOUR
 
 

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 
 from plugd.domain import Capability, Fault, Reading, Relay, Setpoint, Wanted
 from plugd.errors import PlugRefused, PlugTimeout
@@ -11,6 +12,13 @@ from plugd.units import hours
 
 MIDNIGHT = datetime(2023, 1, 2, tzinfo=UTC)
 RENEWALS = 6
+
+
+def configured(neso_url: str, folder: Path) -> Path:
+    """A configuration file in `folder`, with its state there, that asks a stub for the forecast."""
+    path = folder / "plugd.toml"
+    path.write_text(f'[plug]\ntopic = "p"\n[forecast]\nbase_url = "{neso_url}"\n[state]\ndir = "{folder}/state"\n')
+    return path
 
 
 @dataclass(slots=True)

@@ -25,6 +25,7 @@ from plugd.units import HALF_HOUR, slot_start
 from plugd_hil.neso import StubNeso, serve
 from plugd_hil.neso_source import SeriesSource, Shifted, shift_to
 from plugd_hil.synthetic import synthetic_year
+from tests.fakes import configured
 
 YEAR = SeriesSource({None: synthetic_year()})
 
@@ -38,9 +39,7 @@ def neso() -> Iterator[StubNeso]:
 
 @pytest.fixture
 def config(neso: StubNeso, tmp_path: Path) -> Path:
-    path = tmp_path / "plugd.toml"
-    path.write_text(f'[plug]\ntopic = "p"\n[forecast]\nbase_url = "{neso.url}"\n[state]\ndir = "{tmp_path}/state"\n')
-    return path
+    return configured(neso.url, tmp_path)
 
 
 def told(config: Path, capsys: pytest.CaptureFixture[str]) -> Any:

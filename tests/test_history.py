@@ -21,7 +21,7 @@ from plugd.units import HALF_HOUR
 from plugd_hil.neso import StubNeso, serve
 from plugd_hil.neso_source import SeriesSource
 from plugd_hil.synthetic import synthetic_year
-from tests.fakes import FakeClock
+from tests.fakes import FakeClock, configured
 
 YEAR = synthetic_year(days=60)
 NOW = datetime(2023, 3, 1, tzinfo=UTC)
@@ -36,9 +36,7 @@ def neso() -> Iterator[StubNeso]:
 
 @pytest.fixture
 def config(neso: StubNeso, tmp_path: Path) -> Path:
-    path = tmp_path / "plugd.toml"
-    path.write_text(f'[plug]\ntopic = "p"\n[forecast]\nbase_url = "{neso.url}"\n[state]\ndir = "{tmp_path}/state"\n')
-    return path
+    return configured(neso.url, tmp_path)
 
 
 def quiet(words: str) -> None:

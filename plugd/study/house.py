@@ -1,7 +1,7 @@
 """A simulated house for the daemon's own cycle: clock, plug with a car behind it, forecast, hub and store in memory."""
 
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 
@@ -20,6 +20,7 @@ from plugd.domain import (
     Memory,
     Outlook,
     Overrides,
+    PastRow,
     Reading,
     Record,
     Relay,
@@ -153,6 +154,8 @@ class RamStore:
 
     memory: Memory | None = None
     seen: dict[datetime, Intensity] = field(default_factory=dict)
+    measured: set[datetime] = field(default_factory=set)
+    """Those of `seen` that are no expectation."""
     records: list[Record] = field(default_factory=list)
     forecasts: deque[Forecast] = field(default_factory=lambda: deque(maxlen=MOST_FORECASTS))
 
@@ -175,6 +178,7 @@ class RamStore:
         rows = (*forecast.actual, *forecast.expected[:2])
         late = any(last is not None and row.start < last and row.start not in self.seen for row in rows)
         self.seen |= {row.start: row for row in rows}
+        self.measured |= {row.start for row in forecast.actual}
         if late:  # measured after an outage
             self.seen = dict(sorted(self.seen.items()))
 
@@ -194,6 +198,17 @@ class RamStore:
 
     def expect(self, at: datetime, outlook: Outlook) -> None:
         """Nobody scores a simulation."""
+
+    def keep_past(self, region: str, rows: Iterable[PastRow]) -> None:
+        """Remember what was measured."""
+        measured = {row.start: Intensity(row.start, row.actual) for row in rows if row.actual is not None}
+        self.seen = dict(sorted((self.seen | measured).items()))
+        self.measured |= measured.keys()
+
+    def lacks(self, region: str, start: datetime, end: datetime, measured: bool) -> int:
+        """Half hours of which nothing is known, or nothing measured."""
+        known = self.measured if measured else self.seen.keys()
+        return max(0, -((start - end) // HALF_HOUR) - sum(start <= slot < end for slot in known))
 
 
 @dataclass(slots=True)
