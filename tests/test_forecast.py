@@ -118,7 +118,7 @@ def test_values_ten_times_too_low_are_held_against_the_own_history(
     with SqliteStore(config.parent / "state") as store:
         store.keep_past("national", past_of(2000.0))
     found = told(config, capsys)
-    assert "where 2000 is usual" in found["faults"][0]["text"]
+    assert "right after 2000" in found["faults"][0]["text"]
     assert found["history_half_hours"] > 55 * 48
     assert {slot["source"] for slot in found["slots"]} == {"tail"}
 
