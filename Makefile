@@ -68,11 +68,12 @@ can-fuzz: $(READY) ## a million frames at random against the charger on CAN
 study: $(READY) ## the paper's table and regions on measured intensity ($PLUGD_DATA), two seeds, and that they hold
 	$(VENV)/bin/python tests/study_figures.py
 
-check: $(READY) ## style, types, layers
+check: $(READY) ## style, types, layers, the systemd unit
 	$(VENV)/bin/ruff check
 	$(VENV)/bin/ruff format --check
 	$(VENV)/bin/mypy
 	$(VENV)/bin/lint-imports
+	$(VENV)/bin/python deploy/check_unit.py
 
 scenarios: $(READY) ## everything that may go wrong with plug, charger and broker, one scenario after the other
 	$(VENV)/bin/python -m plugd_hil bench hil/scenarios --jobs 2 $(ARGS)

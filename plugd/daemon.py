@@ -21,13 +21,14 @@ from plugd.adapters.plain import PRESETS, Plain
 from plugd.adapters.shelly2 import Shelly2
 from plugd.adapters.store import SqliteStore
 from plugd.adapters.switched import SwitchedPlug
+from plugd.adapters.systemd import Supervisor
 from plugd.adapters.tasmota import Tasmota
 from plugd.book import Book
 from plugd.config import Config, household
 from plugd.config.whole import MODULATING
 from plugd.controller import Controller
 from plugd.cycle import Cycle
-from plugd.domain import Capability, Forecast, Memory
+from plugd.domain import Capability, Decision, Forecast, Memory
 from plugd.errors import ConfigError, StoreError
 from plugd.journal import Journal
 from plugd.page import opened_page
@@ -219,6 +220,13 @@ def _told(config: Config) -> str:
     return f"{config.name}, {plug.kind} at {where}, {at_broker}, forecast of {place}, state in {state_folder(config)}"
 
 
+def ailment(decision: Decision | None, connection: MqttConnection) -> str | None:
+    """Why the loop that has just gone round is not to be trusted, though it did. None where it is."""
+    if decision is None:
+        return "nothing could be decided"
+    return None if connection.alive else "the thread of the broker's connection has ended"
+
+
 def run(config: Config, clock: Clock) -> None:
     """Run until a signal. Raises ConfigError, AlreadyRunning, StoreError before anything is switched."""
     stop = Stop()
@@ -236,11 +244,13 @@ def run(config: Config, clock: Clock) -> None:
         connection.wait_connected(BROKER_PATIENCE_S)
         hub = cycle.hub
         inbox = left.enter_context(opened_page(config, state_folder(config), cycle, connection))
-        journal = Journal()
+        journal, supervisor = Journal(), Supervisor(os.environ.get("NOTIFY_SOCKET", ""))
         while not stop.asked:
             due = cycle.step()
             journal.note(cycle.shown)
+            supervisor.beat(ailment(cycle.decision, connection), cycle.shown.reason if cycle.shown else "")
             cycle.rest(due, inbox, lambda: stop.asked)
+        supervisor.stopping()
         if isinstance(hub, MqttHub):
             hub.close()
             connection.flush()

@@ -96,6 +96,11 @@ class MqttConnection:
         if self._thread.is_alive():
             self._thread.join(5.0)
 
+    @property
+    def alive(self) -> bool:
+        """Whether its thread still runs: connected, or trying to be."""
+        return self._thread.is_alive()
+
     def wait_connected(self, timeout_s: float) -> bool:
         """Whether there is a connection, within this time. For programs that start."""
         return self.bell.hold(lambda: self.connected, timeout_s)

@@ -1,5 +1,6 @@
 """Reading the file. What comes out can be trusted; what cannot be is a ConfigError of one line."""
 
+import os
 import stat
 import tomllib
 from pathlib import Path
@@ -40,13 +41,16 @@ def load(path: Path) -> Config:
     except UnicodeDecodeError as error:
         line = content.count(b"\n", 0, error.start) + 1
         raise ConfigError(f"{name}: line {line}: not UTF-8; save it as UTF-8 text") from error
-    config = parse(text, name, path.parent)
+    config = parse(text, name, path.parent, os.environ.get("CREDENTIALS_DIRECTORY"))
     _check_files(config, name)
     return config
 
 
-def parse(text: str, name: str = "plugd.toml", folder: Path = Path()) -> Config:
-    """The configuration in `text`. `name` is told in errors; relative paths count from `folder`."""
+def parse(text: str, name: str = "plugd.toml", folder: Path = Path(), credentials: str | None = None) -> Config:
+    """The configuration in `text`. `name` is told in errors; relative paths count from `folder`.
+
+    A secret's file is looked for in `credentials` first, systemd's folder for those.
+    """
     try:
         raw = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -54,7 +58,7 @@ def parse(text: str, name: str = "plugd.toml", folder: Path = Path()) -> Config:
     except (ValueError, RecursionError) as error:
         raise ConfigError(f"{name}: not TOML: a number too long or lists too deep; shorten it") from error
     try:
-        return Config.model_validate(raw, context={"folder": folder})
+        return Config.model_validate(raw, context={"folder": folder, "credentials": credentials})
     except ValidationError as error:
         (_, first), *others = complaints(error)
         more = f" (and {len(others)} more)" if others else ""

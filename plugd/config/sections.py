@@ -7,7 +7,19 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from plugd.config import values
-from plugd.config.values import Clock, File, Percent, PlugKind, PlugTopic, Text, Topic, Weekday, Window, Word
+from plugd.config.values import (
+    Clock,
+    File,
+    Percent,
+    PlugKind,
+    PlugTopic,
+    SecretFile,
+    Text,
+    Topic,
+    Weekday,
+    Window,
+    Word,
+)
 
 
 class Section(BaseModel):
@@ -30,7 +42,7 @@ class BrokerSection(Section):
     host: Text = "localhost"
     port: Annotated[int, Field(ge=1, le=65535)] = 1883
     username: Text | None = None
-    password_file: File | None = None
+    password_file: SecretFile | None = None
     tls: bool = False
     ca_file: File | None = None
     topic: Topic = "plugd"
@@ -163,5 +175,5 @@ class WebSection(Section):
 
     enabled: bool = True
     bind: Annotated[Text, AfterValidator(values.bind)] = "127.0.0.1:8480"
-    token_file: File | None = None
+    token_file: SecretFile | None = None
     hosts: list[Text] = []

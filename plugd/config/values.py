@@ -41,6 +41,16 @@ def path(value: object, info: ValidationInfo) -> Path:
     return Path((info.context or {}).get("folder", ""), value)
 
 
+def secret_file(value: object, info: ValidationInfo) -> Path:
+    """A path as above, of a secret. What systemd handed over under that file's name (LoadCredential=) goes first."""
+    named = path(value, info)
+    folder = (info.context or {}).get("credentials")
+    if folder is None:
+        return named
+    handed = Path(folder, named.name)
+    return handed if handed.is_file() and handed.read_bytes().strip() else named  # the stand-in for none is blank
+
+
 def timezone(value: str) -> str:
     """A name of the time zone database."""
     try:
@@ -105,6 +115,7 @@ def percent(value: float) -> float:
 Clock = Annotated[time, BeforeValidator(clock)]
 Window = Annotated[tuple[time, time], BeforeValidator(window)]
 File = Annotated[Path, BeforeValidator(path)]
+SecretFile = Annotated[Path, BeforeValidator(secret_file)]
 Percent = Annotated[float, Field(ge=0, le=100), AfterValidator(percent)]
 Text = Annotated[str, Field(min_length=1, max_length=200)]
 Topic = Annotated[Text, AfterValidator(topic)]

@@ -360,6 +360,21 @@ def test_a_secret_is_read_and_never_shown(tmp_path: Path, mode: int) -> None:
         assert "hunter2" not in f"{secret} {secret!r} {config!r} {config.model_dump_json()}"
 
 
+def test_what_systemd_hands_over_under_the_files_name_goes_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    handed = tmp_path / "credentials"
+    handed.mkdir()
+    monkeypatch.setenv("CREDENTIALS_DIRECTORY", str(handed))
+    path = with_secrets(tmp_path, b"file\n")
+    for content, secret in ((None, "file"), ("\n", "file"), ("handed over\n", "handed over")):
+        if content is not None:
+            (handed / "secret").write_text(content)
+            (handed / "secret").chmod(0o440)
+        config = load(path)
+        assert [s.get_secret_value() for s in (password(config), token(config)) if s] == [secret, secret]
+
+
 def test_no_secret_file_is_no_secret() -> None:
     assert password(parse(PLUG)) is None
     assert token(parse(PLUG)) is None

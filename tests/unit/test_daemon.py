@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from plugd import daemon
+from plugd.adapters.mqtt import Broker, MqttConnection
 from plugd.adapters.store import SqliteStore
 from plugd.cli.log import LogLine
 from plugd.config import parse
@@ -118,3 +119,13 @@ def test_a_line_of_the_log(level: int, name: str, plain: str, journal: str) -> N
     assert line == plain
     assert LogLine(journal=True, named=False).format(record) == journal
     assert LogLine(journal=True, named=True).format(record) == f"{journal[:3]}{name}: said"
+
+
+def test_a_loop_without_a_decision_or_without_its_thread_is_ill() -> None:
+    connection = MqttConnection(Broker("127.0.0.1", 1), "plugd-test")
+    assert daemon.ailment(DECISION, connection) == "the thread of the broker's connection has ended"
+    connection.start()
+    assert daemon.ailment(DECISION, connection) is None
+    assert daemon.ailment(None, connection) == "nothing could be decided"
+    connection.close()
+    assert daemon.ailment(DECISION, connection) == "the thread of the broker's connection has ended"

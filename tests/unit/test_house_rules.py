@@ -9,8 +9,8 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 LOOP = ("plugd/daemon.py", "plugd/cycle.py")
-KNOWN_VARIABLES = {"STATE_DIRECTORY"}
-"""What the daemon reads of its environment: systemd's word for the state folder."""
+KNOWN_VARIABLES = {"STATE_DIRECTORY", "NOTIFY_SOCKET"}
+"""What the daemon reads of its environment: systemd's words for the state folder, and for where it listens."""
 BENCH_WORDS = ("plugd_hil", "conductor", "simulat", "demo", "participant", "fake")
 CLOCK_WORDS = {"now", "monotonic", "wait"}
 
