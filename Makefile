@@ -20,7 +20,7 @@ LOCK := $(VENV)-lock/bin/uv pip compile --quiet --universal --python-version 3.1
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 export PIP_ROOT_USER_ACTION = ignore
 
-.PHONY: help demo test hub-test pictures weeks study plugs deadman fuzz broken can-week can-fuzz scenarios natural check bench lock clean
+.PHONY: help demo test hub-test pictures weeks study plugs deadman fuzz broken can-week can-fuzz scenarios natural check bench lock clean deb test-deb
 .DELETE_ON_ERROR:
 
 help: ## what can be made
@@ -80,6 +80,12 @@ scenarios: $(READY) ## everything that may go wrong with plug, charger and broke
 
 natural: $(READY) ## those of them that last under a minute, on the real clock
 	$(VENV)/bin/python -m plugd_hil bench hil/scenarios --natural --jobs 5 --out bench-out/natural $(ARGS)
+
+deb: $(READY) ## the Debian package into dist/ (ARGS="--suite trixie --arch arm64": for others than this machine)
+	$(VENV)/bin/python -m deploy.build_deb $(ARGS)
+
+test-deb: $(READY) ## the package in a fresh Debian, booted (root; needs debootstrap and systemd-container; 3 minutes)
+	$(VENV)/bin/python -m deploy.test_deb $(ARGS)
 
 bench: $(BENCH_READY) ## every program in bench/ (BENCH=bench/planner.py ARGS=--quick: one, shorter)
 	@set -e; for bench in $(BENCH); do echo "== $$bench"; $(VENV)-bench/bin/python "$$bench" $(ARGS); done
