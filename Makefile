@@ -20,11 +20,11 @@ LOCK := $(VENV)-lock/bin/uv pip compile --quiet --universal --python-version 3.1
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 export PIP_ROOT_USER_ACTION = ignore
 
-.PHONY: help demo test hub-test pictures weeks study plugs deadman fuzz broken can-week can-fuzz scenarios natural check bench lock clean deb test-deb
+.PHONY: help demo test hub-test pictures weeks study plugs deadman fuzz broken can-week can-fuzz scenarios natural check bench lock clean deb test-deb test-arm64
 .DELETE_ON_ERROR:
 
 help: ## what can be made
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-9s %s\n", $$1, $$2 }' Makefile
+	@awk -F ':.*## ' '/^[a-z0-9-]+:.*## / { printf "  make %-9s %s\n", $$1, $$2 }' Makefile
 	@echo 'ARGS="..." is passed on; PYTHON=python3.13 chooses another Python.'
 
 demo: $(READY) ## a week of charging, simulated, in about a minute
@@ -86,6 +86,9 @@ deb: $(READY) ## the Debian package into dist/ (ARGS="--suite trixie --arch arm6
 
 test-deb: $(READY) ## the package in a fresh Debian, booted (root; needs debootstrap and systemd-container; 3 minutes)
 	$(VENV)/bin/python -m deploy.test_deb $(ARGS)
+
+test-arm64: $(READY) ## package and tests in an emulated 64-bit ARM Debian (root; needs qemu-user-static too; an hour)
+	$(VENV)/bin/python -m deploy.test_arm64 $(ARGS)
 
 bench: $(BENCH_READY) ## every program in bench/ (BENCH=bench/planner.py ARGS=--quick: one, shorter)
 	@set -e; for bench in $(BENCH); do echo "== $$bench"; $(VENV)-bench/bin/python "$$bench" $(ARGS); done

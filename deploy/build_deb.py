@@ -14,7 +14,7 @@ import subprocess
 import sys
 import tempfile
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from importlib.metadata import requires
 from pathlib import Path
@@ -30,6 +30,7 @@ from plugd.cli import parser
 
 ROOT = Path(__file__).resolve().parents[1]
 EXTRAS = ("can", "web")
+PIP = (sys.executable, "-m", "pip", "--disable-pip-version-check", "--quiet", "--quiet")
 MACHINES = {"amd64": "x86_64", "arm64": "aarch64"}
 NOT_NEEDED = {"joblib": "osqp's wheels are compiled already", "setuptools": "osqp's wheels are compiled already"}
 """Distributions that others ask for and plugd never imports, and why."""
@@ -68,10 +69,10 @@ class Target:
 TARGETS = {t.suite: t for t in (Target("bookworm", "3.11", 12, 36), Target("trixie", "3.13", 13, 41))}
 
 
-def needed(environment: dict[str, str]) -> set[str]:
-    """The names of all that plugd runs on, by the metadata of what is installed here."""
+def needed(environment: dict[str, str], extras: Iterable[str] = EXTRAS) -> set[str]:
+    """The names of all that plugd with these extras stands on, by the metadata of what is installed here."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    lines = [*project["dependencies"], *(each for extra in EXTRAS for each in project["optional-dependencies"][extra])]
+    lines = [*project["dependencies"], *(each for extra in extras for each in project["optional-dependencies"][extra])]
     asked = [Requirement(line) for line in lines]
     found: set[str] = set()
     seen: set[tuple[str, str]] = set()
@@ -109,25 +110,31 @@ def run(*command: str | Path, cwd: Path = ROOT) -> None:
     subprocess.run([str(part) for part in command], check=True, cwd=cwd)
 
 
-def install(site: Path, target: Target, machine: str, work: Path) -> None:
-    """Lay the wheels of all that is needed, and plugd, into `site`."""
+def wheels(site: Path, target: Target, machine: str, work: Path, extras: Iterable[str] = EXTRAS) -> list[str]:
+    """Lay the locked wheels of all that is needed into `site`. Returns pip, told of the target."""
     environment = target.environment(machine)
     wanted = work / "wanted.txt"
-    entries = locked((ROOT / "requirements.lock").read_text(encoding="utf-8"), needed(environment), environment)
+    entries = locked((ROOT / "requirements.lock").read_text(encoding="utf-8"), needed(environment, extras), environment)
     wanted.write_text("\n".join(entries) + "\n", encoding="utf-8")
-    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--quiet", "--quiet"]
     platforms = [f"--platform={name}" for name in target.platforms(machine)]
     foreign = ["--only-binary=:all:", "--no-deps", "--no-compile", f"--python-version={target.python}", *platforms]
-    run(*pip, "install", f"--target={site}", "--require-hashes", *foreign, f"--requirement={wanted}")
+    install = [*PIP, "install", f"--target={site}", *foreign]
+    run(*install, "--require-hashes", f"--requirement={wanted}")
+    return install
+
+
+def install(site: Path, target: Target, machine: str, work: Path) -> None:
+    """Lay all that is needed, and plugd, into `site`, and nothing that nobody reads."""
+    pip = wheels(site, target, machine, work)
     source = work / "source"  # a build writes into its tree
     source.mkdir()
     for name in ("pyproject.toml", "README.md", "LICENSE"):
         shutil.copy2(ROOT / name, source)
     for name in ("plugd", "hil/plugd_hil", "etc"):
         shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"))
-    run(*pip, "wheel", "--no-deps", "--no-index", "--no-build-isolation", f"--wheel-dir={work}", ".", cwd=source)
+    run(*PIP, "wheel", "--no-deps", "--no-index", "--no-build-isolation", f"--wheel-dir={work}", ".", cwd=source)
     (wheel,) = work.glob("plugd-*.whl")
-    run(*pip, "install", f"--target={site}", "--no-index", *foreign, wheel)
+    run(*pip, "--no-index", wheel)
     for name in ("bin", "share", "plugd_hil"):  # scripts for this machine's Python, what /etc has, and the test bench
         shutil.rmtree(site / name, ignore_errors=True)
     for pattern in UNREAD:

@@ -17,6 +17,7 @@ CACHE = Path(os.environ.get("PLUGD_CACHE") or Path.home() / ".cache/plugd")
 MIRROR = "http://deb.debian.org/debian"
 PACKAGES = ("systemd", "systemd-sysv", "dbus", "python3", "mosquitto", "mosquitto-clients")
 """What stands for a Debian that is in use: an init system, Python, and the broker that plugd needs."""
+PATH = "/usr/sbin:/usr/bin:/sbin:/bin"
 BOOT_S, HALT_S = 90.0, 20.0
 
 
@@ -32,21 +33,47 @@ def require(*programs: str) -> None:
         raise Failed("only root can make and boot a Debian root; sudo it")
 
 
-def root(suite: str) -> Path:
-    """The suite's root, made now where the cache has none."""
-    path = CACHE / f"{suite}-root"
+def root(suite: str, architecture: str) -> Path:
+    """The suite's root, made now where the cache has none. Another architecture has to be `runnable`."""
+    path = CACHE / f"{suite}-{architecture}-root"
     if not path.exists():
-        print(f"making a root of {suite} in {path} (minutes, once)", flush=True)
+        print(f"making {path} (minutes, once)", flush=True)
         CACHE.mkdir(parents=True, exist_ok=True)
         unfinished = path.with_suffix(".unfinished")
         shutil.rmtree(unfinished, ignore_errors=True)
-        included = f"--include={','.join(PACKAGES)}"
-        command = ["debootstrap", "--variant=minbase", included, suite, str(unfinished), MIRROR]
-        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+        options = ["--variant=minbase", f"--arch={architecture}", f"--include={','.join(PACKAGES)}"]
+        subprocess.run(["debootstrap", *options, suite, unfinished, MIRROR], check=True, stdout=subprocess.DEVNULL)
         # What an installer writes and debootstrap does not.
         (unfinished / "etc/hosts").write_text("127.0.0.1 localhost\n::1 localhost\n127.0.1.1 fresh\n", encoding="utf-8")
         unfinished.rename(path)
     return path
+
+
+@contextmanager
+def runnable(qemu: str) -> Iterator[None]:
+    """Programs of another machine run here, through qemu's emulator for it; as before at the end."""
+    names = Path("/proc/sys/fs/binfmt_misc")
+    mounted = names.joinpath("status").exists()
+    if not mounted:
+        subprocess.run(["mount", "-t", "binfmt_misc", "binfmt_misc", str(names)], check=True)
+    known = names / qemu
+    registered = known.exists()
+    if not registered:
+        lines = Path(f"/usr/lib/binfmt.d/{qemu}.conf").read_text(encoding="ascii").splitlines()
+        (names / "register").write_text(next(x for x in lines if x.startswith(":")), encoding="ascii")
+    try:
+        yield
+    finally:
+        if not registered:
+            known.write_text("-1", encoding="ascii")
+        if not mounted:
+            subprocess.run(["umount", str(names)], check=True)
+
+
+def inside(tree: Path, *options: str) -> list[str]:
+    """How a program is run in a root: with a network that is only loopback, and nothing it writes is kept."""
+    command = ["systemd-nspawn", "--quiet", f"--directory={tree}", "--volatile=overlay", "--private-network"]
+    return [*command, "--register=no", "--keep-unit", "--console=pipe", "--machine=fresh", *options]
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,9 +86,9 @@ class Machine:
     def run(self, command: str | Sequence[str], timeout_s: float = 120.0) -> subprocess.CompletedProcess[str]:
         """What a command in it says and how it ends. A text goes through its shell."""
         words = ["sh", "-c", command] if isinstance(command, str) else command
-        inside = ["nsenter", "-t", str(self.leader), "-a", "env", "-i", "PATH=/usr/sbin:/usr/bin:/sbin:/bin", *words]
+        entered = ["nsenter", "-t", str(self.leader), "-a", "env", "-i", f"PATH={PATH}", *words]
         return subprocess.run(
-            inside, check=False, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=timeout_s
+            entered, check=False, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=timeout_s
         )
 
     def do(self, command: str | Sequence[str], timeout_s: float = 120.0) -> str:
@@ -83,11 +110,9 @@ class Machine:
 
 
 @contextmanager
-def booted(suite: str, packages: Path) -> Iterator[Machine]:
+def booted(suite: str, architecture: str, packages: Path) -> Iterator[Machine]:
     """The suite's root, running, with `packages` to be read at /packages. Halted at the end, whatever happens."""
-    command = ["systemd-nspawn", "--quiet", f"--directory={root(suite)}", "--boot", "--volatile=overlay"]
-    command += ["--private-network", "--register=no", "--keep-unit", "--console=pipe", "--machine=fresh"]
-    command += [f"--bind-ro={packages}:/packages"]
+    command = inside(root(suite, architecture), "--boot", f"--bind-ro={packages}:/packages")
     quiet = subprocess.DEVNULL
     nspawn = subprocess.Popen(command, stdin=quiet, stdout=quiet, stderr=quiet, start_new_session=True)
     try:

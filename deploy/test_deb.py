@@ -167,6 +167,9 @@ def upgraded(machine: Machine) -> None:
     machine.do(f"mosquitto_pub -h localhost {login} -q 1 -t plugd/ev/minimum/set -m 63")
     kept = f"mosquitto_sub -h localhost {login} -t plugd/ev/state -C 1 -W 5 | grep -q '\"minimum_pct\": *63'"
     machine.until(kept, 30.0)
+    machine.do("plugd report --json")
+    foreign = machine.do("find /var/lib/private/plugd -user root")
+    expect(not foreign, "root reads the running service's state and leaves nothing of root's there")
     process = shown(machine, "MainPID")
     machine.do("apt-get install -y --no-install-recommends /packages/newer.deb", 600.0)
     expect(shown(machine, "MainPID") not in ("0", process), "upgraded, it was restarted")
@@ -206,7 +209,7 @@ def scenario(target: Target, package: Path) -> None:
         shutil.copy(package, folder / "plugd.deb")
         shutil.copytree(ROOT / "hil/plugd_hil", folder / "plugd_hil")
         newer(package, folder)
-        with booted(target.suite, folder) as machine:
+        with booted(target.suite, here(), folder) as machine:
             before = files(machine)
             installed(machine)
             started(machine)
