@@ -24,7 +24,7 @@ export PIP_ROOT_USER_ACTION = ignore
 .DELETE_ON_ERROR:
 
 help: ## what can be made
-	@awk -F ':.*## ' '/^[a-z0-9-]+:.*## / { printf "  make %-9s %s\n", $$1, $$2 }' Makefile
+	@awk -F ':.*## ' '/^[a-z0-9-]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' Makefile
 	@echo 'ARGS="..." is passed on; PYTHON=python3.13 chooses another Python.'
 
 demo: $(READY) ## a week of charging, simulated, in about a minute

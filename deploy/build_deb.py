@@ -117,8 +117,9 @@ def wheels(site: Path, target: Target, machine: str, work: Path, extras: Iterabl
     entries = locked((ROOT / "requirements.lock").read_text(encoding="utf-8"), needed(environment, extras), environment)
     wanted.write_text("\n".join(entries) + "\n", encoding="utf-8")
     platforms = [f"--platform={name}" for name in target.platforms(machine)]
-    foreign = ["--only-binary=:all:", "--no-deps", "--no-compile", f"--python-version={target.python}", *platforms]
-    install = [*PIP, "install", f"--target={site}", *foreign]
+    # What runs pip here need not be what the wheels are for.
+    foreign = ["--ignore-requires-python", f"--python-version={target.python}", *platforms]
+    install = [*PIP, "install", f"--target={site}", "--only-binary=:all:", "--no-deps", "--no-compile", *foreign]
     run(*install, "--require-hashes", f"--requirement={wanted}")
     return install
 

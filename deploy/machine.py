@@ -17,7 +17,7 @@ CACHE = Path(os.environ.get("PLUGD_CACHE") or Path.home() / ".cache/plugd")
 MIRROR = "http://deb.debian.org/debian"
 PACKAGES = ("systemd", "systemd-sysv", "dbus", "python3", "mosquitto", "mosquitto-clients")
 """What stands for a Debian that is in use: an init system, Python, and the broker that plugd needs."""
-PATH = "/usr/sbin:/usr/bin:/sbin:/bin"
+PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
 BOOT_S, HALT_S = 90.0, 20.0
 
 

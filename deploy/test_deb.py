@@ -167,7 +167,7 @@ def upgraded(machine: Machine) -> None:
     machine.do(f"mosquitto_pub -h localhost {login} -q 1 -t plugd/ev/minimum/set -m 63")
     kept = f"mosquitto_sub -h localhost {login} -t plugd/ev/state -C 1 -W 5 | grep -q '\"minimum_pct\": *63'"
     machine.until(kept, 30.0)
-    machine.do("plugd report --json")
+    machine.do("plugd history show")
     foreign = machine.do("find /var/lib/private/plugd -user root")
     expect(not foreign, "root reads the running service's state and leaves nothing of root's there")
     process = shown(machine, "MainPID")
