@@ -193,7 +193,7 @@ def control(tree: Path, target: Target, architecture: str, version: str) -> None
         "Architecture": architecture,
         "Maintainer": "plugd contributors <plugd@localhost>",
         "Installed-Size": str(sum(-(-path.stat().st_size // 1024) for path in files)),
-        "Depends": f"python3 (>= {target.python}), python3 (<< {major}.{int(minor) + 1}), libc6 (>= 2.28), libstdc++6",
+        "Depends": f"python3 (>= {target.python}), python3 (<< {major}.{int(minor) + 1}), libc6 (>= 2.28), libstdc++6, zlib1g",
         "Recommends": "ca-certificates",
         "Suggests": "mosquitto",
         "Section": "net",
