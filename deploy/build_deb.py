@@ -34,6 +34,8 @@ PIP = (sys.executable, "-m", "pip", "--disable-pip-version-check", "--quiet", "-
 MACHINES = {"amd64": "x86_64", "arm64": "aarch64"}
 NOT_NEEDED = {"joblib": "osqp's wheels are compiled already", "setuptools": "osqp's wheels are compiled already"}
 """Distributions that others ask for and plugd never imports, and why."""
+LIBRARIES = ("libc6 (>= 2.28)", "libstdc++6", "zlib1g")
+"""What the wheels load of Debian's."""
 UNREAD = ("tests", "__pycache__", "*.pyi", "*.pyx", "*.pxd", "*.h", "*.a")
 """What is in wheels and read by nobody who runs them."""
 
@@ -193,7 +195,7 @@ def control(tree: Path, target: Target, architecture: str, version: str) -> None
         "Architecture": architecture,
         "Maintainer": "plugd contributors <plugd@localhost>",
         "Installed-Size": str(sum(-(-path.stat().st_size // 1024) for path in files)),
-        "Depends": f"python3 (>= {target.python}), python3 (<< {major}.{int(minor) + 1}), libc6 (>= 2.28), libstdc++6, zlib1g",
+        "Depends": ", ".join((f"python3 (>= {target.python})", f"python3 (<< {major}.{int(minor) + 1})", *LIBRARIES)),
         "Recommends": "ca-certificates",
         "Suggests": "mosquitto",
         "Section": "net",

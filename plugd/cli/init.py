@@ -14,6 +14,9 @@ from plugd.errors import PlugdError
 if TYPE_CHECKING:
     from plugd.first_run.interview import Draft, Found
 
+UNITS = tuple(Path(folder, "systemd/system/plugd.service") for folder in ("/usr/lib", "/etc"))
+"""Where the service is, where there is one."""
+
 
 def add(commands: Commands) -> None:
     """The first configuration."""
@@ -102,6 +105,9 @@ def _next(person: Terminal, path: Path) -> int:
 
     if person.present and confirmed(person, "Look now whether all of it works?", default=True):
         told(load(path), path, click=False)
-    plugd = "plugd" if path == DEFAULT_CONFIG else f"plugd -c {path}"
-    print(f"Next: `{plugd} check --click` switches the plug on and off once; then `{plugd} run`.")
+    usual = path == DEFAULT_CONFIG
+    plugd = "plugd" if usual else f"plugd -c {path}"
+    served = usual and any(unit.exists() for unit in UNITS)
+    run = "sudo systemctl enable --now plugd" if served else f"{plugd} run"
+    print(f"Next: `{plugd} check --click` switches the plug on and off once; then `{run}`.")
     return 0
