@@ -114,6 +114,16 @@ def started(machine: Machine) -> None:
     say(f"resident at the most so far: {peak_mb:.0f} MB")
 
 
+def planned(machine: Machine) -> None:
+    """Once told how full the car is, the daemon plans; nothing is amiss but the forecast, which cannot be had here."""
+    machine.do("mosquitto_pub -h localhost -q 1 -t plugd/ev/soc/set -m 60")
+    machine.until("mosquitto_sub -h localhost -t plugd/ev/state -C 1 -W 5 | grep -q '\"soc_pct\": *60'", 30.0)
+    expect(len(json.loads(heard(machine, "plugd/ev/plan"))) > 0, "told how full the car is, it plans")
+    log = machine.do("journalctl -u plugd -p warning -o cat --no-pager").splitlines()
+    amiss = [line for line in log if not line.startswith("forecast: ")]
+    expect(not amiss, f"its log has no complaint but that there is no forecast{''.join(amiss[:3])}")
+
+
 def solved(machine: Machine, unit: str) -> None:
     """OSQP plans inside the unit's walls, native code, arrays and all."""
     walls = [line for line in unit.splitlines() if re.match("(System|Memory|Restrict|Protect|Private|Lock)", line)]
@@ -213,6 +223,7 @@ def scenario(target: Target, package: Path) -> None:
             before = files(machine)
             installed(machine)
             started(machine)
+            planned(machine)
             solved(machine, machine.do("cat /usr/lib/systemd/system/plugd.service"))
             frozen(machine)
             secret(machine)
