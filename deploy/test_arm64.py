@@ -15,8 +15,8 @@ from deploy.test_deb import PROBLEM
 
 ARCHITECTURE = "arm64"
 EXTRAS = ("can", "web", "hil", "demo", "dev")
-TESTS = ("tests/unit", "tests/adapters")
-"""What runs where no others are named; all of it is for a night."""
+TESTS = ("tests/unit", "tests/adapters", "--ignore=tests/unit/test_house.py")
+"""What runs where no others are named; all of it is for a night. What is left out asks make and the checkout."""
 SLOW_S = 3600
 ENVIRONMENT = (
     "PYTHONPATH=/site:.:hil",
