@@ -245,6 +245,12 @@ def _said(*command: str) -> str:
     return subprocess.run(command, check=True, capture_output=True, text=True, cwd=ROOT).stdout.strip()
 
 
+def _committed_s() -> str:
+    """When the source last changed, Unix seconds: its last commit, or its project file where there is no history."""
+    ran = subprocess.run(["git", "log", "-1", "--format=%ct"], check=False, capture_output=True, text=True, cwd=ROOT)
+    return ran.stdout.strip() or str(int((ROOT / "pyproject.toml").stat().st_mtime))
+
+
 def here() -> str:
     """This machine's architecture, as Debian calls it."""
     return _said("dpkg", "--print-architecture")
