@@ -18,6 +18,7 @@ from plugd.adapters.mqtt import Broker, MqttConnection
 from plugd.adapters.neso import Neso, Wait, to_the_end
 from plugd.adapters.openevse import OpenEvse, whole_amps
 from plugd.adapters.plain import PRESETS, Plain
+from plugd.adapters.planner_child import PlannerChild
 from plugd.adapters.shelly2 import Shelly2
 from plugd.adapters.store import SqliteStore
 from plugd.adapters.switched import SwitchedPlug
@@ -33,7 +34,7 @@ from plugd.errors import ConfigError, StoreError
 from plugd.journal import Journal
 from plugd.page import opened_page
 from plugd.past import CatchUp
-from plugd.planner.qp import Qp
+from plugd.planner.problem import Solver
 from plugd.ports import Clock, Inbox, Plug, Tended
 from plugd.scoring import Scoring
 from plugd.units import kw_of
@@ -43,6 +44,8 @@ BROKER_PATIENCE_S = 10.0
 
 PATIENCE_S = 1.5
 """How long the loop waits for an answer of the source before it goes on and comes back for it."""
+CAN_PLAN_S = 1.5
+"""How long a plan may take the planner's process where a charger on CAN stops that hears nothing for 5 s."""
 
 log = logging.getLogger("plugd")
 
@@ -129,6 +132,15 @@ def patience(clock: Clock) -> Wait:
     return wait
 
 
+def solver_for(config: Config) -> Solver:
+    """OSQP, in a process of its own unless the configuration wants it here."""
+    if config.planner.child:
+        return PlannerChild(CAN_PLAN_S) if config.plug.kind == "can_elcon" else PlannerChild()
+    from plugd.planner.qp import Qp  # only where it is wanted: it is half of the daemon's memory
+
+    return Qp()
+
+
 def hub_for(config: Config, connection: MqttConnection, plug: Plug) -> MqttHub:
     """The hub's end of the connection."""
     topics = Topics(
@@ -155,7 +167,7 @@ def cycle_for(config: Config, clock: Clock, connection: MqttConnection, store: S
         plug=plug,
         hub=hub_for(config, connection, plug),
         store=store,
-        controller=Controller(home, Qp(), seed),
+        controller=Controller(home, solver_for(config), seed),
         memory=remembered or perception.fresh(clock.now()),
         spread=spread,
         forecast=kept_forecast(store, config),
@@ -242,7 +254,9 @@ def run(config: Config, clock: Clock) -> None:
         log.info("plugd %s runs: %s", __version__, _told(config))
         connection.start()
         connection.wait_connected(BROKER_PATIENCE_S)
-        hub = cycle.hub
+        hub, solver = cycle.hub, cycle.controller.solver
+        if isinstance(solver, PlannerChild):
+            left.callback(solver.close)
         inbox = left.enter_context(opened_page(config, state_folder(config), cycle, connection))
         journal, supervisor = Journal(), Supervisor(os.environ.get("NOTIFY_SOCKET", ""))
         while not stop.asked:

@@ -66,6 +66,10 @@ def _parsed(arguments: Sequence[str] | None) -> Options:
     parser.add_argument(
         "--page", type=int, nargs="?", const=8480, metavar="PORT", help="show the page, and let time go on at the end"
     )
+    parser.add_argument(
+        "--look", type=float, metavar="S", help="the daemon looks this often (10 as on the real clock; slower)"
+    )
+    parser.add_argument("--more", type=Path, metavar="FILE", help="tables to add to the daemon's configuration")
     asked = parser.parse_args(arguments)
     if not 1 <= asked.days <= MOST_DAYS:
         parser.error(f"--days {asked.days}: choose 1 to {MOST_DAYS}")
@@ -77,7 +81,17 @@ def _parsed(arguments: Sequence[str] | None) -> Options:
         except ValueError:
             parser.error(f"--from {asked.start}: write a date as 2023-01-02")
     return Options(
-        asked.days, start, asked.seed, asked.source, asked.plug, asked.soc, asked.json, asked.keep, asked.page
+        days=asked.days,
+        start=start,
+        seed=asked.seed,
+        source=asked.source,
+        plug=asked.plug,
+        soc=asked.soc,
+        json=asked.json,
+        keep=asked.keep,
+        page=asked.page,
+        look_s=asked.look,
+        more=asked.more,
     )
 
 

@@ -77,6 +77,10 @@ class Options:
     """Where the daemon's configuration and state stay, for `plugd report`; else nothing stays."""
     page: int | None = None
     """The page's port: it is open meanwhile and afterwards, while time goes on at its natural speed."""
+    look_s: float | None = None
+    """The daemon's longest wait; else it waits for as long as nothing is due."""
+    more: Path | None = None
+    """Tables added to the daemon's configuration."""
 
 
 def series_for(options: Options) -> IntensitySeries:
@@ -146,7 +150,8 @@ def simulate(
             "--seed", str(options.seed), "--clock", clock, "--ledger", str(ledger), "--tell", options.soc, says=True,
         )  # fmt: skip
         config = _configured(options, folder, (broker.port, neso["port"]), plug, state)
-        children.start("plugd", "plugd_hil.daemon", "-c", str(config), "--clock", clock)
+        look = () if options.look_s is None else ("--look", str(options.look_s))
+        children.start("plugd", "plugd_hil.daemon", "-c", str(config), "--clock", clock, *look)
         _let_pass(conductor, children, broker, (start, end), progress)
         if options.page is not None:
             _stand_open(conductor, children, end, options.page)
@@ -180,6 +185,9 @@ def _configured(
         ),
         encoding="utf-8",
     )
+    if options.more is not None:
+        with config.open("a", encoding="utf-8") as tables:
+            tables.write(options.more.read_text(encoding="utf-8"))
     configuration.load(config)
     return config
 

@@ -164,6 +164,12 @@ class RelaySection(Section):
     random_delay_s: Annotated[float, Field(ge=0, le=1800)] = 600.0
 
 
+class PlannerSection(Section):
+    """Where OSQP plans."""
+
+    child: bool = True
+
+
 class StateSection(Section):
     """What outlives a restart."""
 

@@ -15,6 +15,7 @@ from plugd.config.sections import (
     ForecastSection,
     HomeSection,
     NightsSection,
+    PlannerSection,
     PlugSection,
     RelaySection,
     Section,
@@ -36,6 +37,7 @@ class Config(Section):
     nights: NightsSection = NightsSection()
     forecast: ForecastSection = ForecastSection()
     relay: RelaySection = RelaySection()
+    planner: PlannerSection = PlannerSection()
     state: StateSection = StateSection()
     web: WebSection = WebSection()
 

@@ -1,0 +1,252 @@
+"""What the daemon costs to have: `python bench/footprint.py [--days 30]`, some ten minutes; `--quick` is two days.
+
+The daemon's own process, of the demo, with the page on and looked at: resident memory after simulated days, with the
+planner in a process of its own and with OSQP in the daemon; on a day in which it looks every 10 s as on the real clock,
+processor time, bytes and syncs (strace counts them where it is there). On the real clock, the time from the start of
+`plugd run` to the first plan on MQTT. What its packages take on disk. Ends with 1 where a goal is missed.
+
+A simulated day costs more than a real one: every look is a turn with the conductor and an echo through the broker.
+"""
+
+import argparse
+import os
+import re
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, distribution
+from pathlib import Path
+
+from paho.mqtt.client import Client, MQTTMessage
+from paho.mqtt.enums import CallbackAPIVersion
+
+from plugd_hil.broker import HOST, any_broker
+from plugd_hil.children import Children
+
+MIB, MB = 1 << 20, 1e6
+PEERS = (
+    ("evcc", "80-100 MB", "issues 18072, ProxmoxVE PR 8915"),
+    ("Zigbee2MQTT", "150 MB", "issue 21030"),
+    ("Home Assistant", "260 MB", "its users' reports; 359 MB in a rival's benchmark"),
+)
+"""What their users report of resident memory; nothing of it was measured here."""
+INSIDE = "\n[planner]\nchild = false\n"
+PAGE_S, SETTLE_S = 3.0, 2.0
+PATIENCE_S = 30.0
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """A process as /proc shows it."""
+
+    resident_mb: float
+    peak_mb: float
+    cpu_s: float
+    """Its own and its ended children's."""
+    written_mb: float
+    """What it had the kernel write to a disk; 0 on a file system in memory."""
+
+
+def look(pid: int) -> Look:
+    """Raises OSError once the process is gone."""
+    folder = Path("/proc", str(pid))
+    status = (folder / "status").read_text()
+    fields = (folder / "stat").read_text().rpartition(")")[2].split()
+    written = (folder / "io").read_text().split("\nwrite_bytes: ")[1].split("\n")[0]
+    resident, peak = (int(status.split(name)[1].split()[0]) * 1024 / MB for name in ("VmRSS:", "VmHWM:"))
+    return Look(resident, peak, sum(map(int, fields[11:15])) / os.sysconf("SC_CLK_TCK"), int(written) / MB)
+
+
+def found(*words: str) -> int | None:
+    """The process whose command line holds all of the words."""
+    for folder in Path("/proc").iterdir():
+        if folder.name.isdigit():
+            with suppress(OSError):
+                said = (folder / "cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace")
+                if all(word in said for word in words):
+                    return int(folder.name)
+    return None
+
+
+def opened(url: str) -> None:
+    """Look at the page, as somebody's browser does."""
+    with suppress(OSError), urllib.request.urlopen(url, timeout=PATIENCE_S) as answer:
+        answer.read()
+
+
+def free_port() -> int:
+    """A port that nothing listens on now."""
+    with socket.socket() as probe:
+        probe.bind((HOST, 0))
+        return int(probe.getsockname()[1])
+
+
+@contextmanager
+def folder_on_disk() -> Iterator[Path]:
+    """Beside the checkout's own files: /tmp may be in memory, where nothing is ever written to a disk."""
+    with tempfile.TemporaryDirectory(prefix="footprint-", dir=Path.cwd()) as name:
+        yield Path(name)
+
+
+def demo(days: int, *more: str, tables: str = "", strace: bool = False) -> tuple[Look, Look | None, int | None]:
+    """The daemon after `days` of the demo with its page looked at, mosquitto beside it, and syncs where counted."""
+    with folder_on_disk() as folder:
+        keep, added, counted, words = (folder / name for name in ("keep", "more.toml", "syncs", "words"))
+        port = free_port()
+        added.write_text(tables, encoding="utf-8")
+        command = [
+            sys.executable,
+            "-m",
+            "plugd_hil.demo",
+            "--days",
+            str(days),
+            "--page",
+            str(port),
+            "--keep",
+            str(keep),
+        ]
+        with words.open("w") as stderr:
+            process = subprocess.Popen(
+                [*command, "--more", str(added), *more], stdout=subprocess.DEVNULL, stderr=stderr
+            )
+        tracer: subprocess.Popen[bytes] | None = None
+        try:
+            daemon, url = None, f"http://{HOST}:{port}/"
+            while "page is at" not in words.read_text():
+                if process.poll() is not None:
+                    raise SystemExit(f"the demo ended with {process.returncode}: {words.read_text()}")
+                daemon = daemon or found("plugd_hil.daemon", str(keep))
+                if daemon and strace and tracer is None:
+                    trace = ["strace", "-f", "-qq", "-e", "trace=fsync,fdatasync", "-o", str(counted)]
+                    tracer = subprocess.Popen([*trace, "-p", str(daemon)], stderr=subprocess.DEVNULL)
+                time.sleep(PAGE_S)
+                opened(url)
+            time.sleep(SETTLE_S)
+            opened(url)
+            broker = found("mosquitto", str(keep))
+            seen = look(daemon or process.pid), look(broker) if broker else None
+        finally:
+            if tracer is not None:
+                tracer.terminate()
+                tracer.wait()
+            process.send_signal(signal.SIGINT)
+            process.wait(PATIENCE_S)
+        syncs = len(re.findall(r"f(data)?sync\(", counted.read_text())) if tracer is not None else None
+        return *seen, syncs
+
+
+def first_plan_s() -> float:
+    """From the start of `plugd run`, on the real clock, to its first plan on MQTT; stub plug, stub API, new state."""
+    with folder_on_disk() as folder:
+        broker = any_broker(os.environ.get("PATH", ""), folder)
+        broker.start()
+        children = Children(dict(os.environ), folder)
+        try:
+            neso = children.start("neso", "plugd_hil.neso", says=True)
+            children.start("plug", "plugd_hil.plug", "--broker", f"{HOST}:{broker.port}", says=True)
+            config = folder / "plugd.toml"
+            config.write_text(
+                f'[broker]\nhost = "{HOST}"\nport = {broker.port}\n[plug]\ntopic = "ev-plug"\n[web]\n'
+                f'bind = "{HOST}:{free_port()}"\n[forecast]\nbase_url = "http://{HOST}:{neso["port"]}"\n'
+                f'[state]\ndir = "{folder / "state"}"\n'
+            )
+            return _until_planned(children, broker.port, str(config))
+        finally:
+            children.close()
+            broker.stop()
+
+
+def _until_planned(children: Children, port: int, config: str) -> float:
+    planned: list[float] = []
+    client = Client(CallbackAPIVersion.VERSION2)
+
+    def heard(_client: Client, _user: object, message: MQTTMessage) -> None:
+        if len(message.payload) > len("[]"):
+            planned.append(time.monotonic())
+
+    client.on_message = heard
+    client.connect(HOST, port)
+    client.subscribe("plugd/ev/plan")
+    client.loop_start()
+    began = time.monotonic()
+    children.start("plugd", "plugd", "-c", config, "run")
+    while not planned and time.monotonic() < began + PATIENCE_S:
+        time.sleep(0.01)
+    client.loop_stop()
+    if not planned:
+        raise SystemExit(f"no plan in {PATIENCE_S:g} s; {children.last_words('plugd')}")
+    return planned[0] - began
+
+
+def installed(*extras: str) -> tuple[float, int, dict[str, float]]:
+    """MB on disk of plugd with its extras and all that they need, how many packages, and MB of each."""
+    from packaging.requirements import Requirement
+
+    sizes: dict[str, float] = {}
+    waiting = [("plugd", extras)]
+    while waiting:
+        name, wanted = waiting.pop()
+        name = name.lower().replace("_", "-")
+        try:
+            package = distribution(name)
+        except PackageNotFoundError:
+            continue
+        files = (Path(str(package.locate_file(file))) for file in package.files or ())
+        sizes[name] = sum(file.stat().st_size for file in files if file.is_file()) / MB
+        for text in package.requires or ():
+            need = Requirement(text)
+            applies = need.marker is None or any(need.marker.evaluate({"extra": e}) for e in (*wanted, ""))
+            if applies and need.name.lower().replace("_", "-") not in sizes:
+                waiting.append((need.name, tuple(need.extras)))
+    source = sum(file.stat().st_size for file in Path("plugd").rglob("*") if file.is_file() and "_" not in file.suffix)
+    sizes["plugd"] = max(sizes.get("plugd", 0.0), source / MB)
+    return sum(sizes.values()), len(sizes), sizes
+
+
+def main() -> int:
+    """The programme."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--days", type=int, default=30)
+    parser.add_argument("--quick", action="store_true", help="two days instead of thirty, one instead of two")
+    options = parser.parse_args()
+    days, day = (2, 1) if options.quick else (options.days, 2)
+    rows: list[tuple[str, float, float | None, str]] = []
+
+    def told(what: str, value: float, goal: float | None, unit: str) -> None:
+        rows.append((what, value, goal, unit))
+        mark = "" if goal is None else f"goal {goal:g}" + ("" if value <= goal else "  MISSED")
+        print(f"{what:<60} {value:9.2f} {unit:<8} {mark}", flush=True)
+
+    seen, mosquitto, _ = demo(days)
+    told(f"resident after {days} days, planner in a child", seen.resident_mb, 50.0, "MB")
+    told("  at its highest", seen.peak_mb, None, "MB")
+    if mosquitto is not None:
+        told("  mosquitto beside it", mosquitto.resident_mb, None, "MB")
+    seen, _, _ = demo(days, tables=INSIDE)
+    told(f"resident after {days} days, OSQP in the daemon", seen.resident_mb, 90.0, "MB")
+    for name, told_mb, where in PEERS:
+        print(f"  {name}: {told_mb} ({where})")
+    seen, _, _ = demo(day, "--look", "10")
+    told("processor time, looking every 10 s", seen.cpu_s / day / 864.0, 0.5, "% of one")
+    told("written", seen.written_mb / day, 2.0, "MB/day")
+    if shutil.which("strace"):
+        _, _, syncs = demo(1, "--look", "10", strace=True)
+        told("syncs", float(syncs or 0), 200.0, "a day")
+    told("start of `plugd run` to the first plan", min(first_plan_s() for _ in range(3)), 2.0, "s")
+    total_mb, count, sizes = installed("web")
+    told(f"installed, {count} packages with the page's", total_mb, None, "MB")
+    largest = sorted(sizes.items(), key=lambda item: -item[1])[:6]
+    print("  " + ", ".join(f"{name} {size:.1f}" for name, size in largest))
+    return int(any(goal is not None and value > goal for _, value, goal, _ in rows))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
