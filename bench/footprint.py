@@ -9,8 +9,10 @@ A simulated day costs more than a real one: every look is a turn with the conduc
 """
 
 import argparse
+import json
 import os
 import re
+import resource
 import shutil
 import signal
 import socket
@@ -18,20 +20,23 @@ import subprocess
 import sys
 import tempfile
 import time
+import tomllib
 import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, distribution
+from dataclasses import asdict, dataclass
+from importlib.metadata import distribution
 from pathlib import Path
 
+from packaging.requirements import Requirement
 from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion
 
+from plugd.planner.problem import Problem, ProblemSession
 from plugd_hil.broker import HOST, any_broker
 from plugd_hil.children import Children
 
-MIB, MB = 1 << 20, 1e6
+MIB, MB = float(1 << 20), 1e6
 PEERS = (
     ("evcc", "80-100 MB", "issues 18072, ProxmoxVE PR 8915"),
     ("Zigbee2MQTT", "150 MB", "issue 21030"),
@@ -39,6 +44,8 @@ PEERS = (
 )
 """What their users report of resident memory; nothing of it was measured here."""
 INSIDE = "\n[planner]\nchild = false\n"
+PLANS = 56
+"""A day: each half hour, and some commands."""
 PAGE_S, SETTLE_S = 3.0, 2.0
 PATIENCE_S = 30.0
 
@@ -47,8 +54,8 @@ PATIENCE_S = 30.0
 class Look:
     """A process as /proc shows it."""
 
-    resident_mb: float
-    peak_mb: float
+    resident_mib: float
+    peak_mib: float
     cpu_s: float
     """Its own and its ended children's."""
     written_mb: float
@@ -61,7 +68,7 @@ def look(pid: int) -> Look:
     status = (folder / "status").read_text()
     fields = (folder / "stat").read_text().rpartition(")")[2].split()
     written = (folder / "io").read_text().split("\nwrite_bytes: ")[1].split("\n")[0]
-    resident, peak = (int(status.split(name)[1].split()[0]) * 1024 / MB for name in ("VmRSS:", "VmHWM:"))
+    resident, peak = (int(status.split(name)[1].split()[0]) * 1024 / MIB for name in ("VmRSS:", "VmHWM:"))
     return Look(resident, peak, sum(map(int, fields[11:15])) / os.sysconf("SC_CLK_TCK"), int(written) / MB)
 
 
@@ -186,29 +193,39 @@ def _until_planned(children: Children, port: int, config: str) -> float:
     return planned[0] - began
 
 
-def installed(*extras: str) -> tuple[float, int, dict[str, float]]:
-    """MB on disk of plugd with its extras and all that they need, how many packages, and MB of each."""
-    from packaging.requirements import Requirement
+def child_cpu_s() -> float:
+    """Processor time of one plan in a planner's process that was just started."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    question = json.dumps(asdict(_everyday())).encode() + b"\n"
+    subprocess.run(
+        [sys.executable, "-m", "plugd.adapters.planner_child"], input=question, check=True, capture_output=True
+    )
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
-    sizes: dict[str, float] = {}
-    waiting = [("plugd", extras)]
+
+def _everyday() -> Problem:
+    """Four nights of 22 half hours."""
+    night = ProblemSession(tuple(map(float, range(100, 210, 5))), (0.5,) * 22, (2.3,) * 22, 25.0, 40.0, 11.28)
+    return Problem(25.0, 10.0, 0.9, (night,) * 4)
+
+
+def installed() -> dict[str, float]:
+    """MB on disk of plugd with its page, and of each package that it needs for that."""
+    project = tomllib.loads(Path("pyproject.toml").read_text(encoding="utf-8"))["project"]
+    waiting = [Requirement(text) for text in (*project["dependencies"], *project["optional-dependencies"]["web"])]
+    source = (file for file in Path("plugd").rglob("*") if file.is_file() and file.suffix != ".pyc")
+    sizes = {"plugd": sum(file.stat().st_size for file in source) / MB}
     while waiting:
-        name, wanted = waiting.pop()
-        name = name.lower().replace("_", "-")
-        try:
-            package = distribution(name)
-        except PackageNotFoundError:
+        need = waiting.pop()
+        name = need.name.lower().replace("_", "-")
+        if name in sizes or (need.marker is not None and not need.marker.evaluate({"extra": ""})):
             continue
+        package = distribution(name)
         files = (Path(str(package.locate_file(file))) for file in package.files or ())
         sizes[name] = sum(file.stat().st_size for file in files if file.is_file()) / MB
-        for text in package.requires or ():
-            need = Requirement(text)
-            applies = need.marker is None or any(need.marker.evaluate({"extra": e}) for e in (*wanted, ""))
-            if applies and need.name.lower().replace("_", "-") not in sizes:
-                waiting.append((need.name, tuple(need.extras)))
-    source = sum(file.stat().st_size for file in Path("plugd").rglob("*") if file.is_file() and "_" not in file.suffix)
-    sizes["plugd"] = max(sizes.get("plugd", 0.0), source / MB)
-    return sum(sizes.values()), len(sizes), sizes
+        waiting += map(Requirement, package.requires or ())
+    return sizes
 
 
 def main() -> int:
@@ -226,23 +243,24 @@ def main() -> int:
         print(f"{what:<60} {value:9.2f} {unit:<8} {mark}", flush=True)
 
     seen, mosquitto, _ = demo(days)
-    told(f"resident after {days} days, planner in a child", seen.resident_mb, 50.0, "MB")
-    told("  at its highest", seen.peak_mb, None, "MB")
+    told(f"resident after {days} days, planner in a child", seen.resident_mib, 50.0, "MiB")
+    told("  at its highest", seen.peak_mib, None, "MiB")
     if mosquitto is not None:
-        told("  mosquitto beside it", mosquitto.resident_mb, None, "MB")
+        told("  mosquitto beside it", mosquitto.resident_mib, None, "MiB")
     seen, _, _ = demo(days, tables=INSIDE)
-    told(f"resident after {days} days, OSQP in the daemon", seen.resident_mb, 90.0, "MB")
+    told(f"resident after {days} days, OSQP in the daemon", seen.resident_mib, 90.0, "MiB")
     for name, told_mb, where in PEERS:
         print(f"  {name}: {told_mb} ({where})")
     seen, _, _ = demo(day, "--look", "10")
-    told("processor time, looking every 10 s", seen.cpu_s / day / 864.0, 0.5, "% of one")
+    cpu_s = seen.cpu_s / day + PLANS * child_cpu_s()
+    told(f"processor time, looking every 10 s, {PLANS} plans a day", cpu_s / 864.0, 0.5, "% core")
     told("written", seen.written_mb / day, 2.0, "MB/day")
     if shutil.which("strace"):
         _, _, syncs = demo(1, "--look", "10", strace=True)
         told("syncs", float(syncs or 0), 200.0, "a day")
     told("start of `plugd run` to the first plan", min(first_plan_s() for _ in range(3)), 2.0, "s")
-    total_mb, count, sizes = installed("web")
-    told(f"installed, {count} packages with the page's", total_mb, None, "MB")
+    sizes = installed()
+    told(f"installed, {len(sizes)} packages with the page's", sum(sizes.values()), None, "MB")
     largest = sorted(sizes.items(), key=lambda item: -item[1])[:6]
     print("  " + ", ".join(f"{name} {size:.1f}" for name, size in largest))
     return int(any(goal is not None and value > goal for _, value, goal, _ in rows))

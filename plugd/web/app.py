@@ -23,7 +23,6 @@ from plugd.command_words import MAX_BYTES, Refused, parse
 from plugd.domain import Answer
 from plugd.score import LeadScore
 from plugd.units import to_pct
-from plugd.web import metrics
 from plugd.web.desk import Desk, Snapshot, State
 from plugd.web.gate import TOKEN_HEADER, Gate, same
 from plugd.web.view import live, values
@@ -134,6 +133,8 @@ class Page:
 
     async def metrics(self, request: Request) -> Response:
         """For Prometheus."""
+        from plugd.web import metrics  # noqa: PLC0415 - 1 MB that most never ask for
+
         seen = self._seen()
         figures = metrics.Figures(lambda: seen[:2] if seen else None, self.gate.refused)
         return Response(metrics.text(figures), media_type="text/plain; version=0.0.4; charset=utf-8")
