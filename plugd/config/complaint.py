@@ -10,6 +10,8 @@ from typing import Any
 
 MASKED = ("pass", "secret", "token", "apikey", "api_key")
 """A key with one of these words in it is never shown with its value, wherever it was written."""
+USER = re.compile(r"[^/@\s\"]*@")
+"""A user, and perhaps a password, in front of a host."""
 
 MUST = {
     "bool_type": "must be true or false, without quotes",
@@ -59,7 +61,7 @@ def shown(value: Any, key: str = "") -> str:
         case bool():
             return "true" if value else "false"
         case str() | Path():
-            return one_line(json.dumps(str(value), ensure_ascii=False))
+            return one_line(USER.sub("***@", json.dumps(str(value), ensure_ascii=False)))
         case int() if _huge(value):
             return "(a huge number)"
         case time():
@@ -135,7 +137,8 @@ def complaint(error: Mapping[str, Any], known: tuple[str, ...]) -> str:
         remedy = one_line(error["msg"])
     if kind == "literal_error":
         remedy = _one_of(remedy, value if isinstance(value, str) else path[-1])
-    is_set = "" if value is None else f" = {shown(value, key)}"
+    mistyped_secret = kind == "extra_forbidden" and any(word in remedy for word in MASKED)
+    is_set = "" if value is None else f" = {'***' if mistyped_secret else shown(value, key)}"
     return f"{one_line(key)}{is_set}: {remedy}"
 
 

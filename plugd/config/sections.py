@@ -39,7 +39,7 @@ class HomeSection(Section):
 class BrokerSection(Section):
     """The MQTT broker that plug and hub speak through."""
 
-    host: Text = "localhost"
+    host: Annotated[Text, AfterValidator(values.host)] = "localhost"
     port: Annotated[int, Field(ge=1, le=65535)] = 1883
     username: Text | None = None
     password_file: SecretFile | None = None

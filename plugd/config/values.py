@@ -97,6 +97,13 @@ def url(value: str) -> str:
     return value.rstrip("/")
 
 
+def host(value: str) -> str:
+    """A machine's name or address."""
+    if any(c in value for c in "@/ ") or not value.isprintable():
+        raise ValueError("must be a name or an address alone; port, username and password_file are keys of their own")
+    return value
+
+
 def bind(value: str) -> str:
     """Where to listen."""
     host, _, port = value.rpartition(":")

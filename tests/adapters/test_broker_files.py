@@ -66,7 +66,7 @@ class Somebody:
         self.welcome: ReasonCode = self._answers.get(timeout=SOON_S)
 
     def _on_message(self, _client: Client, _user: object, message: MQTTMessage) -> None:
-        self.heard.put((message.topic, message.payload))
+        self.heard.put((message.topic, bytes(message.payload)))
 
     def say(self, topic: str, payload: bytes) -> ReasonCode:
         """Publish; the broker's answer."""

@@ -217,6 +217,8 @@ REFUSED = [
     ('forecast.base_url = "http://[::1"', 'forecast.base_url = "http://[::1"', "http:// or https://"),
     ('forecast.base_url = "http://h:99999"', 'forecast.base_url = "http://h:99999"', "http://"),
     ('forecast.base_url = "file:///etc"', 'forecast.base_url = "file:///etc"', "http://"),
+    ('broker.host = "mqtt://a"', 'broker.host = "mqtt://a"', "must be a name or an address alone"),
+    ('broker.host = "me:secret@a"', 'broker.host = "***@a"', "must be a name or an address alone"),
     ('web.bind = "8480"', 'web.bind = "8480"', 'like "127.0.0.1:8480"'),
     ('web.bind = "a:65536"', 'web.bind = "a:65536"', 'like "127.0.0.1:8480"'),
     ('state.dir = "~/plugd"', 'state.dir = "~/plugd"', "~ is not expanded"),
