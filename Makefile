@@ -13,7 +13,7 @@ NODE_RED ?= $(shell command -v node-red)
 # One stamp a Python version: `make test PYTHON=python3.13` after `make test` builds the environment anew.
 VERSION := $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null)
 READY := $(VENV)/ready-$(VERSION)
-BENCH ?= $(wildcard bench/*.py)
+BENCH ?= $(filter-out bench/footprint.py,$(wildcard bench/*.py))
 BENCH_READY := $(VENV)-bench/ready-$(VERSION)
 LOCK := $(VENV)-lock/bin/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes \
   --only-binary :all: --no-header --no-annotate --no-emit-index-url
@@ -21,6 +21,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK = 1
 export PIP_ROOT_USER_ACTION = ignore
 
 .PHONY: help demo test hub-test pictures weeks study plugs deadman fuzz broken can-week can-fuzz scenarios natural check bench lock clean deb test-deb test-arm64
+.PHONY: footprint sbom audit
 .DELETE_ON_ERROR:
 
 help: ## what can be made
@@ -68,12 +69,13 @@ can-fuzz: $(READY) ## a million frames at random against the charger on CAN
 study: $(READY) ## the paper's table and regions on measured intensity ($PLUGD_DATA), two seeds, and that they hold
 	$(VENV)/bin/python tests/study_figures.py
 
-check: $(READY) ## style, types, layers, the systemd unit
+check: $(READY) ## style, types, layers, security, the systemd unit
 	$(VENV)/bin/ruff check
 	$(VENV)/bin/ruff format --check
 	$(VENV)/bin/mypy
 	$(VENV)/bin/lint-imports
 	$(VENV)/bin/python deploy/check_unit.py
+	$(VENV)/bin/bandit --quiet --recursive --configfile pyproject.toml plugd hil/plugd_hil
 
 scenarios: $(READY) ## everything that may go wrong with plug, charger and broker, one scenario after the other
 	$(VENV)/bin/python -m plugd_hil bench hil/scenarios --jobs 2 $(ARGS)
@@ -90,6 +92,20 @@ test-deb: $(READY) ## the package in a fresh Debian, booted (root; needs deboots
 test-arm64: $(READY) ## package and tests in an emulated 64-bit ARM Debian (root; needs qemu-user-static too; an hour)
 	$(VENV)/bin/python -m deploy.test_arm64 $(ARGS)
 
+footprint: $(READY) ## what the daemon costs: memory after a month, processor, disk, start (ARGS=--quick: two days)
+	$(VENV)/bin/python bench/footprint.py $(ARGS)
+
+sbom: .venv-audit/bin/pip-audit ## sbom.json: everything in requirements.lock, with its hashes (CycloneDX)
+	.venv-audit/bin/cyclonedx-py requirements --pyproject pyproject.toml --output-reproducible \
+	  --output-format JSON --output-file sbom.json requirements.lock
+
+audit: .venv-audit/bin/pip-audit ## known vulnerabilities of what the locks hold; asks the package index
+	.venv-audit/bin/pip-audit --strict --disable-pip --require-hashes --requirement requirements.lock
+
+.venv-audit/bin/pip-audit: | python
+	$(PYTHON) -m venv --clear .venv-audit
+	.venv-audit/bin/python -m pip install --quiet cyclonedx-bom pip-audit
+
 bench: $(BENCH_READY) ## every program in bench/ (BENCH=bench/planner.py ARGS=--quick: one, shorter)
 	@set -e; for bench in $(BENCH); do echo "== $$bench"; $(VENV)-bench/bin/python "$$bench" $(ARGS); done
 
@@ -101,7 +117,7 @@ lock: python ## both locks anew from pyproject.toml (ARGS=--upgrade for newer ve
 	rm -rf $(VENV)-lock
 
 clean: ## remove the environment and every cache
-	rm -rf $(VENV) $(VENV)-bench $(VENV)-lock .venv-hass build dist *.egg-info hil/*.egg-info
+	rm -rf $(VENV) $(VENV)-bench $(VENV)-lock .venv-hass .venv-audit sbom.json build dist *.egg-info hil/*.egg-info
 	rm -rf .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 

@@ -107,7 +107,7 @@ def plug_for(config: Config, connection: MqttConnection, clock: Clock) -> Plug:
 
 def _can_charger(config: Config, clock: Clock) -> Plug:
     """The charger on CAN. Raises ConfigError without its libraries, its battery's limits, or a DBC that was named."""
-    if missing := [name for name in ("cantools", "msgpack", "serial") if find_spec(name) is None]:
+    if missing := [name for name in ("can", "cantools", "msgpack", "serial") if find_spec(name) is None]:
         remedy = "pip install 'plugd[can]', or all of requirements.lock"
         raise ConfigError(f'plug.kind = "can_elcon": needs {" and ".join(missing)}; {remedy}')
     from plugd.adapters.can_charger import charger  # only where it is wanted: others need not have its libraries

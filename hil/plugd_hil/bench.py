@@ -17,7 +17,7 @@ from datetime import timedelta
 from functools import partial
 from pathlib import Path
 from types import FrameType
-from xml.etree import ElementTree as ET
+from xml.etree import ElementTree as ET  # nosec B405 # it only writes
 
 from plugd.errors import PlugdError, UsageError
 from plugd_hil.account import read_ledger

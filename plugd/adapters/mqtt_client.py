@@ -19,7 +19,7 @@ KEEPALIVE_S = 30
 MAX_PACKET_BYTES = 16 * 1024
 """What an MQTT 5 broker may send us at all."""
 WRONG_VERSION, TAKEN_OVER, NOBODY_LISTENS = 0x84, 0x8E, 0x10
-SECRET = "see [broker] username and password_file"
+SECRET = "see [broker] username and password_file"  # nosec B105 # where it is, not what
 REFUSALS = {
     0x86: f"it does not accept this user name and password; {SECRET}",
     0x87: f"this user is not allowed, or the password is wrong; {SECRET}",

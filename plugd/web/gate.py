@@ -22,7 +22,7 @@ HEADERS = {
     "Cache-Control": "no-store",
 }
 READING = ("GET", "HEAD")
-TOKEN_HEADER = "X-Plugd-Token"  # its name, no token
+TOKEN_HEADER = "X-Plugd-Token"  # nosec B105 # its name, no token
 
 
 @dataclass(slots=True)

@@ -174,7 +174,7 @@ def test_the_command_and_the_demo_run_the_same_daemon() -> None:
     )
     assert "daemon.run(load(config_path(options)), clock)" in ast.unparse(run)
     started = ast.unparse(ast.parse((ROOT / "hil/plugd_hil/demo_run.py").read_text()))
-    assert "children.start('plugd', 'plugd_hil.daemon', '-c', str(config), '--clock', clock)" in started
+    assert "children.start('plugd', 'plugd_hil.daemon', '-c', str(config), '--clock', clock, *look)" in started
 
 
 # -- without numbers' libraries -------------------------------------------------------------------
@@ -202,3 +202,16 @@ def test_guard_and_exact_planner_work_where_numpy_and_osqp_cannot_be_imported() 
         env={"PYTHONPATH": str(ROOT)},
     )
     assert (said.stdout, said.stderr) == ("True\n", "")
+
+
+HEAVY = ("can", "cantools", "matplotlib", "numpy", "osqp", "prometheus_client", "scipy")
+
+
+def test_the_daemon_and_its_page_start_without_what_they_do_not_need() -> None:
+    """OSQP and its arrays are half of the memory of a daemon that has them; the others are for few."""
+    program = (
+        f"import sys; sys.modules.update(dict.fromkeys({HEAVY}))\n"
+        "import plugd.adapters.clock, plugd.adapters.planner_child, plugd.daemon, plugd.web.app, plugd.web.server"
+    )
+    done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.stderr == ""
