@@ -14,7 +14,6 @@ import os
 import re
 import resource
 import shutil
-import signal
 import socket
 import subprocess
 import sys
@@ -144,8 +143,8 @@ def demo(days: int, *more: str, tables: str = "", strace: bool = False) -> tuple
             if tracer is not None:
                 tracer.terminate()
                 tracer.wait()
-            process.send_signal(signal.SIGINT)
-            process.wait(PATIENCE_S)
+            process.terminate()
+            process.wait(2.0 * PATIENCE_S)
         syncs = len(re.findall(r"f(data)?sync\(", counted.read_text())) if tracer is not None else None
         return *seen, syncs
 

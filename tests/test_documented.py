@@ -33,14 +33,12 @@ PAGES = sorted(
 SYSTEM = """
 apt apt-get base64 bash candump cat cd chmod chown cp curl docker export git head install ip journalctl loginctl ls
 mkdir modprobe mosquitto mosquitto_passwd mosquitto_pub mosquitto_sub nano openssl pip pipx printf rm rsync scp sh
-ssh     systemctl systemd-analyze systemd-creds tee usermod
+ssh systemctl systemd-analyze systemd-creds tee usermod
 """
 OTHERS = frozenset(SYSTEM.split())
 """Programs that are not ours."""
 PLACEHOLDERS = {"N": "5", "AMPS": "8", "DATE": "2023-01-01", "KIND": "tasmota"}
 OPERATORS = frozenset(("&&", "||", ";", "|", "&", "(", ")"))
-DATA = {"neso_national_2023.csv", "2023.csv"}
-"""Files that whoever follows the page has, or makes on it."""
 
 
 class Understood(Exception):
