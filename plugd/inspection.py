@@ -159,7 +159,7 @@ def decision_now(config: Config, solver: Solver | None = None) -> Decision:
     memory = perception.fresh(now)
     forecast: Forecast | None = None
     history: tuple[Intensity, ...] = ()
-    folder = _readable(daemon.state_folder(config))
+    folder = readable(daemon.state_folder(config))
     if folder is not None:
         with SqliteStore(folder, hold=False) as store:
             memory = store.load() or memory
@@ -175,7 +175,7 @@ def decision_now(config: Config, solver: Solver | None = None) -> Decision:
     return Controller(home, solver or Qp()).tick(now, seen, memory)
 
 
-def _readable(folder: Path) -> Path | None:
+def readable(folder: Path) -> Path | None:
     """The folder, None where there is none yet. Raises StoreError for one that this user may not look into."""
     if not os.access(folder, os.F_OK):
         return None
@@ -236,7 +236,7 @@ def _clock(config: Config, click: bool) -> str:
 
 def _disk(config: Config, click: bool) -> str:
     folder = daemon.state_folder(config)
-    if _readable(folder) is not None:
+    if readable(folder) is not None:
         with SqliteStore(folder, hold=False) as store:
             store.load()
         if not os.access(folder, os.W_OK):

@@ -25,6 +25,7 @@ COMMANDS = (
     ("history", "show"),
     ("report", "--json"),
     ("plug", "show"),
+    ("dump",),
     ("-v", "check"),
 )
 PAGES = ("/", "/live", "/api/state", "/metrics", "/healthz", "/nowhere")

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 
 from plugd import __version__
-from plugd.cli import apart, check, forecast, history, init, plan, plug, report, run
+from plugd.cli import apart, check, dump, forecast, history, init, plan, plug, report, run
 from plugd.cli.log import begin
 from plugd.cli.parsing import DEFAULT_CONFIG, Commands, Parser
 from plugd.errors import AlreadyRunning, ConfigError, PlugdError, UsageError
@@ -17,7 +17,7 @@ EXIT_CODES: tuple[tuple[type[PlugdError], int], ...] = (
     (UsageError, 2),
     (PlugdError, 1),
 )
-COMMANDS = (run.add, apart.add, init.add, check.add, plan.add, forecast.add, history.add, report.add, plug.add)
+COMMANDS = (run.add, apart.add, init.add, check.add, plan.add, forecast.add, history.add, report.add, plug.add, dump.add)
 """In the order of `plugd --help`."""
 
 
