@@ -180,8 +180,8 @@ def test_twenty_thousand_slots_are_planned(plugd: Shell, tmp_path: Path, solver:
 # -- usage ----------------------------------------------------------------------------------------
 
 
-def test_the_example_of_the_readme_runs_and_is_explained_as_it_says(plugd: Shell, tmp_path: Path) -> None:
-    section = (ROOT / "README.md").read_text().split("## Plan a problem of your own")[1].split("\n## ")[0]
+def test_the_example_of_the_docs_runs_and_is_explained_as_it_says(plugd: Shell, tmp_path: Path) -> None:
+    section = (ROOT / "docs" / "plan.md").read_text()
     written, shown = section.split("```json")[1].split("```")[0], section.split("```\n")[-2]
     path = problem(tmp_path, written)
     said = plugd("plan", "--problem", path, "--explain")
