@@ -13,6 +13,7 @@ from pathlib import Path
 from types import FrameType
 
 from plugd import __version__, perception
+from plugd.adapters.allocator import Allocator
 from plugd.adapters.hub import MqttHub, Topics
 from plugd.adapters.mqtt import Broker, MqttConnection
 from plugd.adapters.neso import Neso, Wait, to_the_end
@@ -241,7 +242,7 @@ def ailment(decision: Decision | None, connection: MqttConnection) -> str | None
 
 def run(config: Config, clock: Clock) -> None:
     """Run until a signal. Raises ConfigError, AlreadyRunning, StoreError before anything is switched."""
-    stop = Stop()
+    stop, allocator = Stop(), Allocator()
     with ExitStack() as left:
         store = SqliteStore(state_folder(config))
         left.callback(store.close)
@@ -263,6 +264,7 @@ def run(config: Config, clock: Clock) -> None:
             due = cycle.step()
             journal.note(cycle.shown)
             supervisor.beat(ailment(cycle.decision, connection), cycle.shown.reason if cycle.shown else "")
+            allocator.tidy(clock.monotonic())
             cycle.rest(due, inbox, lambda: stop.asked)
         supervisor.stopping()
         if isinstance(hub, MqttHub):
