@@ -37,6 +37,8 @@ ssh systemctl systemd-analyze systemd-creds tee usermod
 """
 OTHERS = frozenset(SYSTEM.split())
 """Programs that are not ours."""
+MORE = "…"
+"""Stands for the arguments that a text leaves out."""
 PLACEHOLDERS = {"N": "5", "AMPS": "8", "DATE": "2023-01-01", "KIND": "tasmota"}
 OPERATORS = frozenset(("&&", "||", ";", "|", "&", "(", ")"))
 
@@ -89,7 +91,7 @@ def inline(page: Path) -> Iterator[list[str]]:
     text = re.sub(r"^ *```.*?^ *```$", "", (ROOT / page).read_text("utf-8"), flags=re.MULTILINE | re.DOTALL)
     for said in re.findall(r"`([^`\n]+)`", text):
         if re.match(r"(make|plugd) [a-z-]", said):
-            yield from commands(said.replace("…", "").replace("[", "").replace("]", ""))
+            yield from commands(re.sub(r"\|\w+|[\[\]]", "", said))  # the first of on|off, and what may be left out
 
 
 @cache
@@ -147,7 +149,7 @@ def _made(rest: list[str]) -> str | None:
 
 def _plugd(rest: list[str]) -> str | None:
     """Whether plugd takes these arguments; placeholders in capitals stand for a value."""
-    filled = [PLACEHOLDERS.get(word, word) for word in rest]
+    filled = [PLACEHOLDERS.get(word, word) for word in rest if word != MORE]
     said = io.StringIO()
     try:
         with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
@@ -161,8 +163,8 @@ def _plugd(rest: list[str]) -> str | None:
     except Understood:
         return None
     except SystemExit as error:
-        only_named = not any(word.startswith("-") for word in rest) and "required" in said.getvalue()
-        return None if error.code == 0 or only_named else said.getvalue()
+        whole = MORE not in rest and any(word.startswith("-") for word in rest)
+        return None if error.code == 0 or (not whole and "required" in said.getvalue()) else said.getvalue()
     return None
 
 
