@@ -154,7 +154,7 @@ def first_plan_s() -> float:
     with folder_on_disk() as folder:
         broker = any_broker(os.environ.get("PATH", ""), folder)
         broker.start()
-        children = Children(dict(os.environ), folder)
+        children = Children(folder)
         try:
             neso = children.start("neso", "plugd_hil.neso", says=True)
             children.start("plug", "plugd_hil.plug", "--broker", f"{HOST}:{broker.port}", says=True)
