@@ -12,7 +12,7 @@ from plugd.errors import ConfigError, UsageError
 from plugd.first_run.answers import Answers, refusal, written, yes_no
 from plugd.first_run.questions import BROKER, CAR, CHARGING, PLACE, PLUG, Question, state
 
-PASSWORD_FILE = "mqtt_password"
+PASSWORD_FILE = "mqtt_password"  # nosec B105 # its name, not what is in it
 
 
 class Person(Protocol):
