@@ -13,8 +13,9 @@ from dataclasses import dataclass
 from datetime import datetime
 from http.client import HTTPException
 from urllib.parse import urljoin, urlsplit
+from urllib.request import getproxies, proxy_bypass
 
-import requests
+import urllib3
 import urllib3.exceptions as urllib3_errors
 
 from plugd import __version__
@@ -29,8 +30,8 @@ REDIRECTS = (301, 302, 303, 307, 308)
 GRACE_S = 0.2
 """A thread whose time is over needs a moment to say why."""
 
-_TRANSPORT = (requests.RequestException, urllib3_errors.HTTPError, HTTPException, OSError, ValueError)
-"""What requests and what lies under it may raise for a question that cannot be asked or answered."""
+_TRANSPORT = (urllib3_errors.HTTPError, HTTPException, OSError, ValueError)
+"""What urllib3 and what lies under it may raise for a question that cannot be asked or answered."""
 
 
 class Asked(Bell):
@@ -70,18 +71,18 @@ class Asked(Bell):
     def _ask(self, urls: Sequence[str]) -> None:
         """The thread's work: the answers, or why there is none."""
         try:
-            with requests.Session() as session:
+            with _pool(urls[0]) as pool:
                 for url in urls:
-                    self._next(session, _Question(url, self._deadline_s, self.now))
+                    self._next(pool, _Question(url, self._deadline_s, self.now))
                     if self.error is not None:
                         break
         finally:
             self._ended = True
             self._bell.look()
 
-    def _next(self, session: requests.Session, question: "_Question") -> None:
+    def _next(self, pool: urllib3.PoolManager, question: "_Question") -> None:
         try:
-            self.bodies.append(question.answer(session))
+            self.bodies.append(question.answer(pool))
         except ForecastError as error:
             self.error = error
         except _TRANSPORT as error:
@@ -97,6 +98,18 @@ def is_loopback(host: str) -> bool:
         return False
 
 
+def _pool(url: str) -> urllib3.PoolManager:
+    """Connections to a server: by the proxy that is set for this machine, unless that machine is this one.
+
+    Trusted is whom this machine trusts, so that its certificates are renewed with it.
+    """
+    headers = {"User-Agent": f"plugd/{__version__}", "Accept": "application/json", "Accept-Encoding": "identity"}
+    parts = urlsplit(url)
+    host = parts.hostname or ""
+    proxy = None if is_loopback(host) or proxy_bypass(host) else getproxies().get(parts.scheme)
+    return urllib3.ProxyManager(proxy, headers=headers) if proxy else urllib3.PoolManager(headers=headers)
+
+
 @dataclass(frozen=True, slots=True)
 class _Question:
     """One address asked until a moment of the monotonic clock."""
@@ -105,16 +118,14 @@ class _Question:
     deadline_s: float
     now: datetime
 
-    def answer(self, session: requests.Session) -> bytes:
+    def answer(self, pool: urllib3.PoolManager) -> bytes:
         """The body of a 200 answer, after at most two redirects on the same host."""
-        # A proxy set for the rest of the machine has no business between two programs on it.
-        session.trust_env = not is_loopback(urlsplit(self.url).hostname or "")
-        session.headers.update({"User-Agent": f"plugd/{__version__}", "Accept": "application/json"})
-        session.headers["Accept-Encoding"] = "identity"
         url = self.url
         for _ in range(MOST_REDIRECTS + 1):
-            with session.get(url, stream=True, allow_redirects=False, timeout=self._left_s()) as response:
-                if response.status_code not in REDIRECTS:
+            left = urllib3.Timeout(total=self._left_s())
+            question = pool.request("GET", url, redirect=False, retries=False, preload_content=False, timeout=left)
+            with question as response:
+                if response.status not in REDIRECTS:
                     return self._body(response)
                 url = _next_url(url, response.headers.get("Location", ""))
         raise ForecastUnavailable(f"{host_of(self.url)} redirects without end; check forecast.base_url")
@@ -136,34 +147,34 @@ class _Question:
             raise ForecastUnavailable(f"{host_of(self.url)} answers too slowly; check the network")
         return left_s
 
-    def _body(self, response: requests.Response) -> bytes:
+    def _body(self, response: urllib3.BaseHTTPResponse) -> bytes:
         coding = response.headers.get("Content-Encoding", "identity")
         if coding.strip().lower() != "identity":
             raise ForecastMalformed(f"{host_of(self.url)} compressed its answer ({quotable(coding)}) unasked")
         body = bytearray()
         # read1 returns what one read of the socket brings, so that the time is looked at after each.
-        while chunk := response.raw.read1(8192, decode_content=False):
+        while chunk := response.read1(8192, decode_content=False):
             body += chunk
             self._left_s()
             if len(body) > MOST_BYTES:
                 raise ForecastMalformed(f"{host_of(self.url)} sent more than 1 MB; that is no forecast")
-        if response.status_code == 200:
+        if response.status == 200:
             return bytes(body)
         message = error_message(bytes(body)) or quotable(response.reason or "") or "no message"
-        status = response.status_code
+        status = response.status
         raise ForecastUnavailable(f"NESO answered {status}: {message}; {_remedy(status)}")
 
 
 _REASONS: tuple[tuple[tuple[type[BaseException], ...], str], ...] = (
     (
-        (requests.exceptions.SSLError, urllib3_errors.SSLError),
+        (urllib3_errors.SSLError,),
         "the certificate of {host} was not accepted; the clock here says {now}: set it if that is wrong, "
         "else renew the CA certificates ({why})",
     ),
     ((urllib3_errors.NameResolutionError,), "the name {host} cannot be resolved; check network and DNS"),
     ((ConnectionRefusedError,), "{host} refuses the connection; check forecast.base_url"),
     (
-        (requests.Timeout, urllib3_errors.TimeoutError, TimeoutError),
+        (urllib3_errors.TimeoutError, TimeoutError),
         "{host} does not answer in time; check the network",
     ),
     (
@@ -176,7 +187,7 @@ _REASONS: tuple[tuple[tuple[type[BaseException], ...], str], ...] = (
 
 
 def _causes(error: BaseException | None) -> Iterator[BaseException]:
-    """An error and what is under it: requests and urllib3 wrap each other's in arguments and `reason`."""
+    """An error and what is under it: urllib3 wraps others' in arguments and `reason`."""
     seen: list[BaseException] = []
     waiting = [error]
     while waiting:
