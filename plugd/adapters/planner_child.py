@@ -79,7 +79,7 @@ class PlannerChild:
         self._child = self._started()
         try:
             return _checked(problem, self._answer(self._child, question, until_s))
-        except EOFError:
+        except (BrokenPipeError, EOFError):
             status = self._child.wait()
             raise OSError(f"it ended with {status}") from None
 

@@ -17,7 +17,18 @@ EXIT_CODES: tuple[tuple[type[PlugdError], int], ...] = (
     (UsageError, 2),
     (PlugdError, 1),
 )
-COMMANDS = (run.add, apart.add, init.add, check.add, plan.add, forecast.add, history.add, report.add, plug.add, dump.add)
+COMMANDS = (
+    run.add,
+    apart.add,
+    init.add,
+    check.add,
+    plan.add,
+    forecast.add,
+    history.add,
+    report.add,
+    plug.add,
+    dump.add,
+)
 """In the order of `plugd --help`."""
 
 
