@@ -13,10 +13,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 from plugd_hil.broker import Mosquitto, find_mosquitto
 
 pytest_plugins = ["pytester"]
+
+settings.register_profile("plugd", deadline=None)  # a busy machine is no fault of what is tested
+settings.load_profile("plugd")
 
 ROOT = Path(__file__).resolve().parents[1]
 
