@@ -33,6 +33,7 @@ from plugd.domain import (
     Reading,
     Relay,
     Replan,
+    Savings,
     SetConnected,
     SetHorizon,
     SetMinimum,
@@ -458,6 +459,20 @@ def test_the_state_says_what_is() -> None:
     assert (told["charging"], told["at_risk"]) == (True, False)
     assert told["settings"] == {"minimum_pct": 50.0, "ready_by": None, "horizon": 4, "week": {}, "trips": []}
     assert told["morning_soc_pct"] == pytest.approx(60 + 3 * 2.3 * 0.9 * 2, abs=0.1)
+
+
+def test_what_is_saved_today_and_in_all_are_told_apart() -> None:
+    told = state(replace(decided(), saved=Savings(today_g=120.04, total_g=5136.16)), None, HOME)
+    assert (told["saved_g_today"], told["saved_g_total"]) == (120.0, 5136.2)
+
+
+def test_the_intensity_is_that_of_the_half_hour_under_way_and_not_of_the_outlooks_first() -> None:
+    decision = decided()
+    assert decision.outlook is not None
+    first, second, *rest = decision.outlook.slots
+    outlook = replace(decision.outlook, slots=(first, replace(second, g_per_kwh=first.g_per_kwh + 50), *rest))
+    later = replace(decision, outlook=outlook, at=second.start + minutes(5))
+    assert state(later, None, HOME)["intensity_g_per_kwh"] == first.g_per_kwh + 50
 
 
 @pytest.mark.parametrize(
