@@ -227,6 +227,11 @@ def test_a_wrong_token_changes_nothing_and_says_so(sight: Sight) -> None:
     assert "401" in told[0]
 
 
+def test_a_token_that_no_header_carries_is_refused_in_words(sight: Sight) -> None:
+    sight.one("#token").send_keys("five €", Keys.ENTER)
+    sight.says("#answer", "not a token this page can send")
+
+
 def test_it_fits_a_phone(sight: Sight) -> None:
     sight.browser.execute_cdp_cmd(
         "Emulation.setDeviceMetricsOverride",

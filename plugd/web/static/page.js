@@ -101,6 +101,11 @@
     event.preventDefault();
     const form = event.target;
     if (form.id === "token-form") {
+      if (/[^\x20-\xff]/.test(byId("token").value)) { // a header cannot carry it, and fetch would only throw
+        byId("answer").className = "answer bad";
+        byId("answer").textContent = "that is not a token this page can send; use letters, digits and signs of ASCII";
+        return;
+      }
       localStorage.setItem(TOKEN, byId("token").value);
       byId("token").value = "";
       byId("access").open = false;
