@@ -23,6 +23,7 @@ from plugd.domain import (
     Switching,
 )
 from plugd.guard import believed_kw
+from plugd.outlook import Learned
 from plugd.perception import perceive
 from plugd.planner import hold, nights, taper
 from plugd.planner.problem import Solver
@@ -43,8 +44,11 @@ class Controller:
     seed: str = "plugd"
     """What sets this household's random delays apart from its neighbours'."""
 
-    def tick(self, now: datetime, seen: Observation, memory: Memory) -> Decision:
-        """Obey commands, look at the plug, plan the next sessions, and turn tonight's plan into orders."""
+    def tick(self, now: datetime, seen: Observation, memory: Memory, learned: Learned | None = None) -> Decision:
+        """Obey commands, look at the plug, plan the next sessions, and turn tonight's plan into orders.
+
+        `learned`: of the grid and its forecasts; without it they are taken as they are.
+        """
         memory, answers = commands.apply(seen.commands, memory, self.house(memory), now)
         memory = perceive(now, seen.reading, memory, self.house(memory))
         house = self.house(memory)
@@ -52,7 +56,7 @@ class Controller:
         coming = sessions.expected(now, house, memory.overrides, memory.presence, horizon)
         outlook = None
         if coming:
-            outlook = outlooks.extend(seen.forecast, seen.history, now, coming[-1].end)
+            outlook = outlooks.extend(seen.forecast, seen.history, now, coming[-1].end, learned)
             plan = self._plan(now, coming, outlook, seen.history, memory, house)
             memory = replace(memory, plan=plan, orders=self._orders(now, plan, memory, house))
         else:
@@ -60,10 +64,11 @@ class Controller:
         decision = self.describe(now, seen, memory, outlook)
         return replace(decision, answers=answers, sessions=coming)
 
-    def resume(self, now: datetime, seen: Observation, memory: Memory) -> Decision:
+    def resume(self, now: datetime, seen: Observation, memory: Memory, learned: Learned | None = None) -> Decision:
         """The decision after a restart: the stored plan as it is, nothing planned anew."""
         coming = memory.plan.sessions if memory.plan else ()
-        outlook = outlooks.extend(seen.forecast, seen.history, now, coming[-1].session.end) if coming else None
+        until = coming[-1].session.end if coming else now
+        outlook = outlooks.extend(seen.forecast, seen.history, now, until, learned) if coming else None
         return self.describe(now, seen, memory, outlook)
 
     def act(self, now: datetime, seen: Observation, memory: Memory) -> beat.Action:

@@ -26,6 +26,7 @@ from plugd.domain import (
     Wanted,
 )
 from plugd.errors import ForecastError, ForecastLate, PlugError, PlugRefused, StoreError
+from plugd.outlook import Learned
 from plugd.past import HISTORY, LATE
 from plugd.plausible import believed
 from plugd.ports import Clock, Errand, ForecastSource, Hub, Inbox, Plug, Store, Tended
@@ -54,6 +55,8 @@ class Cycle:
     spread: Callable[[], float]
     """A number in 0..1 for pauses between retries."""
     forecast: Forecast | None = None
+    learned: Learned | None = None
+    """Of the grid and its forecasts, from all that was seen; None where forecasts are taken as they are."""
     book: Book | None = None
     """The ledger, where one is kept."""
     errands: Sequence[Errand] = ()
@@ -85,7 +88,7 @@ class Cycle:
             self._tick(now, reading, orders)
         elif self.decision is None:
             seen = self._seen(reading, history=self._history(now))
-            self.decision = self.controller.resume(now, seen, self.memory)
+            self.decision = self.controller.resume(now, seen, self.memory, self._learn(now, seen))
         # What the tick has seen of the plug is in the memory: `act` looks at it only where none was.
         action = self.controller.act(now, self._seen(None if ticks else reading), self.memory)
         changed = _lasting(action.memory) != _lasting(self.memory)
@@ -171,7 +174,8 @@ class Cycle:
     # -- deciding ---------------------------------------------------------------------------------
 
     def _tick(self, now: datetime, reading: Reading | None, orders: tuple[Command, ...]) -> None:
-        self.decision = self.controller.tick(now, self._seen(reading, orders, self._history(now)), self.memory)
+        seen = self._seen(reading, orders, self._history(now))
+        self.decision = self.controller.tick(now, seen, self.memory, self._learn(now, seen))
         self.memory = self.decision.memory
         self.planned_at = now
         self.hub.answer(self.decision.answers)
@@ -180,6 +184,13 @@ class Cycle:
         outlook = self.decision.outlook
         if outlook is not None:
             self._stored("expect", lambda: self.store.expect(now, outlook), None)
+
+    def _learn(self, now: datetime, seen: Observation) -> Learned | None:
+        """What is known with what was just seen."""
+        if self.learned is not None:
+            forecasts = () if seen.forecast is None else (seen.forecast,)
+            self.learned = self.learned.advanced(now, forecasts, seen.history)
+        return self.learned
 
     def _history(self, now: datetime) -> tuple[Intensity, ...]:
         nothing: tuple[Intensity, ...] = ()

@@ -33,6 +33,7 @@ from plugd.cycle import Cycle
 from plugd.domain import Capability, Decision, Forecast, Memory
 from plugd.errors import ConfigError, StoreError
 from plugd.journal import Journal
+from plugd.outlook import Learned
 from plugd.page import opened_page
 from plugd.past import CatchUp
 from plugd.planner.problem import Solver
@@ -169,6 +170,7 @@ def cycle_for(config: Config, clock: Clock, connection: MqttConnection, store: S
         hub=hub_for(config, connection, plug),
         store=store,
         controller=Controller(home, solver_for(config), seed),
+        learned=Learned(),
         memory=remembered or perception.fresh(clock.now()),
         spread=spread,
         forecast=kept_forecast(store, config),

@@ -27,15 +27,25 @@ FORESIGHT = 4
 """Horizon of the perfect foresight that is 100 %."""
 
 
-def runs(issues: Issues, start: datetime, end: datetime, horizons: Iterable[int], *, learn: bool = True) -> list[Run]:
+def runs(
+    issues: Issues,
+    start: datetime,
+    end: datetime,
+    horizons: Iterable[int],
+    *,
+    learn: bool = True,
+    corrected: bool = True,
+) -> list[Run]:
     """One zone: charging without control, perfect foresight, and every horizon on the issued forecasts.
 
     `learn`: these replace the planned window and use by what was seen of the driver; perfect foresight never does.
+    `corrected`: the outlook learns from how wrong the forecasts were.
     """
 
     def run(name: str, horizon: int) -> Run:
         house = replace(HOUSE, nights=replace(HOUSE.nights, horizon=horizon, learn=learn and name == "mpc"))
-        return Run(name, World(house, DRIVER, start, end), issues.found, Noise.NONE, issues=issues)
+        world = World(house, DRIVER, start, end)
+        return Run(name, world, issues.found, Noise.NONE, issues=issues, corrected=corrected)
 
     return [run("uncontrolled", 1), run("perfect", FORESIGHT), *(run("mpc", horizon) for horizon in horizons)]
 

@@ -55,6 +55,8 @@ def _arguments(parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
         "--to", dest="until", type=day, metavar="DATE", help="not included; default: the end of each file"
     )
     _learning(past, "on")
+    past.add_argument("--forecasts", choices=("corrected", "raw"), default="corrected",
+                      help="with what was learned from past errors (default), or as they are")  # fmt: skip
     shared(past)
     past.set_defaults(does=_backtest)
     experiments.add(parsers)
@@ -191,6 +193,7 @@ def _backtest(options: argparse.Namespace) -> int:
             *measured.between(issues.found, options.since, options.until),
             options.horizons,
             learn=options.learn == "on",
+            corrected=options.forecasts == "corrected",
         )
     outcomes = performed([run for runs in lists.values() for run in runs], options)
     left = iter(outcomes)

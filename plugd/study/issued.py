@@ -19,6 +19,7 @@ from typing import TextIO
 from plugd import outlook
 from plugd.domain import Forecast, Intensity, Series
 from plugd.errors import UsageError
+from plugd.outlook import Learned, moments
 from plugd.past import HISTORY
 from plugd.study.measured import Measured
 from plugd.units import HALF_HOUR, require_utc, slot_start
@@ -43,41 +44,55 @@ class Issues:
 
 
 class Replayed:
-    """What was known at each moment. Implements `plugd.study.forecasts.Forecasts`."""
+    """What was known at each moment, and the daemon's own outlook from it. Implements `Forecasts`.
 
-    def __init__(self, issues: Issues) -> None:
-        self._issues = issues
+    It is asked about moments in order, and gives what it learned no value before that was published. Without
+    `corrected` the last forecast counts as it is.
+    """
+
+    def __init__(self, issues: Issues, *, corrected: bool = True) -> None:
+        self._issues, self._corrected = issues, corrected
         found = issues.found
         self._actual = tuple(Intensity(at, g) for at, g in zip(found.slots(), found.actual, strict=True))
-        self._forecast: tuple[datetime, Forecast | None, dict[datetime, float]] | None = None
+        self._learned = Learned()
+        self._at = issues.issued[0]
+        self._told = self._published = 0
+        """How many of the forecasts and of the actuals have been given to it."""
 
     def expected(self, now: datetime, slots: Sequence[datetime]) -> list[float]:
-        """See Forecasts. The last forecast counts for what it covers, the daemon's outlook beyond it."""
-        forecast, known = self._latest(now)
-        if any(at not in known for at in slots):
-            until = max(slots) + HALF_HOUR
-            extended = outlook.extend(forecast, self.history(now), min(slots), until)
-            known = {slot.start: slot.g_per_kwh for slot in extended.slots}
+        """See Forecasts. What the daemon would expect."""
+        if self._corrected:
+            for moment in moments(self._at, now):
+                self._learn(moment)
+            self._at = now
+        until = max(slots) + HALF_HOUR
+        if self._corrected:
+            extended = outlook.extend(None, (), now, until, self._learned)
+        else:
+            latest = bisect_right(self._issues.issued, now) - 1
+            forecast = self._forecast(latest) if latest >= 0 else None
+            extended = outlook.extend(forecast, self.history(now), now, until)
+        known = {slot.start: slot.g_per_kwh for slot in extended.slots}
         return [known[at] for at in slots]
 
     def history(self, now: datetime) -> tuple[Intensity, ...]:
         """The actuals of the hours that were over an hour ago."""
-        found = self._issues.found
-        hour = slot_start(now - LATE).replace(minute=0)  # the two halves of an hour appear together
-        return self._actual[max(0, found.index(now - HISTORY)) : max(0, found.index(hour))]
+        return self._actual[max(0, self._issues.found.index(now - HISTORY)) : self._visible(now)]
 
-    def _latest(self, now: datetime) -> tuple[Forecast | None, dict[datetime, float]]:
-        """The forecast visible at `now`: the last one issued."""
-        last = bisect_right(self._issues.issued, now) - 1
-        if last < 0:
-            return None, {}
-        at = self._issues.issued[last]
-        if self._forecast is None or self._forecast[0] != at:
-            values = enumerate(self._issues.expected[last])
-            known = {at + k * HALF_HOUR: g for k, g in values if not math.isnan(g)}
-            rows = tuple(Intensity(start, g) for start, g in known.items())
-            self._forecast = at, Forecast(at, self._issues.found.name, rows), known
-        return self._forecast[1:]
+    def _visible(self, now: datetime) -> int:
+        """How many actuals are published: the two halves of an hour appear together."""
+        return max(0, self._issues.found.index(slot_start(now - LATE).replace(minute=0)))
+
+    def _learn(self, now: datetime) -> None:
+        told, published = bisect_right(self._issues.issued, now), self._visible(now)
+        forecasts = [self._forecast(k) for k in range(self._told, told)]
+        self._learned = self._learned.advanced(now, forecasts, self._actual[self._published : published])
+        self._told, self._published = told, published
+
+    def _forecast(self, k: int) -> Forecast:
+        at = self._issues.issued[k]
+        rows = (Intensity(at + j * HALF_HOUR, g) for j, g in enumerate(self._issues.expected[k]) if not math.isnan(g))
+        return Forecast(at, self._issues.found.name, tuple(rows))
 
 
 def lines(path: Path, columns: Sequence[str]) -> Iterator[tuple[int, dict[str, str]]]:

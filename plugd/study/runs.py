@@ -49,6 +49,8 @@ class Run:
     solver: str = "exact"
     issues: Issues | None = field(default=None, repr=False)
     """Forecasts as they were issued, instead of the synthetic one."""
+    corrected: bool = True
+    """Whether the outlook learns from how wrong those were."""
     issue_seed: int | None = None
     """Of the forecast errors, where cars with seeds of their own see the same forecast."""
     delay_h: float = 0.0
@@ -69,7 +71,11 @@ class Run:
         horizon = f" N={self.horizon}" if self.horizon else ""
         late = f", delayed up to {self.delay_h:g} h" if self.delay_h else ""
         world, value = self.world, "on" if self.world.household.end_value else "off"
-        noise = f"noise {self.noise}" if self.issues is None else "forecasts as issued"
+        noise = (
+            f"noise {self.noise}"
+            if self.issues is None
+            else f"forecasts as issued{', corrected' if self.corrected else ''}"
+        )
         return (
             f"{self.strategy}{horizon}, {self.found.name} {world.start:%Y-%m-%d} to {world.end:%Y-%m-%d}, "
             f"seed {self.seed}{late}, {noise}, end value {value}, solver {self.solver}"
@@ -122,7 +128,7 @@ def simulated(run: Run) -> Account:
 
 def _forecasts(run: Run) -> Forecasts:
     if run.issues is not None and run.strategy != "perfect":
-        return Replayed(run.issues)
+        return Replayed(run.issues, corrected=run.corrected)
     seed = run.seed if run.issue_seed is None else run.issue_seed
     found = Synthetic(run.found, run.noise, seed, run.world.start, run.growth)
     return Delayed(found, run.seed, run.delay_h) if run.delay_h else found

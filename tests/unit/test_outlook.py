@@ -3,7 +3,7 @@
 from datetime import UTC, datetime, timedelta
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from plugd import outlook
@@ -28,10 +28,10 @@ def test_a_forecast_counts_for_the_hours_it_covers_however_old_it_is() -> None:
 
 
 def test_a_hole_is_filled_and_a_genuine_zero_is_kept() -> None:
-    found = outlook.extend(forecast(0.0, None, 50.0), (), NOW, FIRST + timedelta(hours=1.5))
+    found = outlook.extend(forecast(100.0, None, 0.0), (), NOW, FIRST + timedelta(hours=1.5))
     assert [s.source for s in found.slots] == [SlotSource.NESO, SlotSource.TAIL, SlotSource.NESO]
-    assert found.slots[0].g_per_kwh == 0.0
-    assert 50.0 < found.slots[1].g_per_kwh < 250.0
+    assert found.slots[2].g_per_kwh == 0.0
+    assert found.slots[1].g_per_kwh == pytest.approx(100.0, abs=10.0)
 
 
 def test_without_any_forecast_the_usual_day_is_cleanest_at_night() -> None:
@@ -53,6 +53,7 @@ def test_own_history_replaces_the_built_in_day() -> None:
     assert max(s.g_per_kwh for s in found.slots[1:]) < 60.0
 
 
+@settings(deadline=None)
 @given(
     values=st.lists(st.none() | st.floats(0, 1000), max_size=100),
     old_h=st.floats(0, 60),
@@ -69,7 +70,7 @@ def test_every_half_hour_has_one_number(
     starts = [s.start for s in found.slots]
     assert starts == [FIRST + k * HALF_HOUR for k in range(len(starts))]
     assert not starts or starts[-1] + HALF_HOUR >= until
-    assert all(0.0 <= s.g_per_kwh <= 1250.0 and s.sd_g_per_kwh >= 0.0 for s in found.slots)
+    assert all(0.0 <= s.g_per_kwh <= 2000.0 and s.sd_g_per_kwh >= 0.0 for s in found.slots)
     told = {row.start: row.g_per_kwh for row in issued.expected}
     assert all(s.g_per_kwh == told[s.start] for s in found.slots if s.source is SlotSource.NESO)
     assert {s.start for s in found.slots if s.source is SlotSource.TAIL}.isdisjoint(told)
