@@ -26,7 +26,7 @@ from plugd.domain import (
     Wanted,
 )
 from plugd.errors import ForecastError, ForecastLate, PlugError, PlugRefused, StoreError
-from plugd.outlook import Learned
+from plugd.outlook import Learned, replayed
 from plugd.past import HISTORY, LATE
 from plugd.plausible import believed
 from plugd.ports import Clock, Errand, ForecastSource, Hub, Inbox, Plug, Store, Tended
@@ -187,9 +187,14 @@ class Cycle:
 
     def _learn(self, now: datetime, seen: Observation) -> Learned | None:
         """What is known with what was just seen."""
-        if self.learned is not None:
-            forecasts = () if seen.forecast is None else (seen.forecast,)
-            self.learned = self.learned.advanced(now, forecasts, seen.history)
+        if self.learned is None:
+            return None
+        if self.learned.lacks(seen.history):  # after a start, and with every page of the past
+            nothing: tuple[Forecast, ...] = ()
+            issued = self._stored("issued", lambda: tuple(self.store.issued(now - HISTORY)), nothing)
+            self.learned = replayed(issued, seen.history, now)
+        forecasts = () if seen.forecast is None else (seen.forecast,)
+        self.learned = self.learned.advanced(now, forecasts, seen.history)
         return self.learned
 
     def _history(self, now: datetime) -> tuple[Intensity, ...]:

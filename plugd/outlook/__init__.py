@@ -4,10 +4,10 @@ from datetime import datetime
 
 from plugd.domain import Forecast, Intensity, Outlook, OutlookSlot, SlotSource
 from plugd.outlook.learned import EPOCH, Learned, at_of, moments, replayed
-from plugd.outlook.typical import typical_g_per_kwh
+from plugd.outlook.typical import TYPICAL_G_PER_KWH, typical_g_per_kwh
 from plugd.units import HALF_HOUR
 
-__all__ = ["Learned", "extend", "moments", "replayed", "typical_g_per_kwh"]
+__all__ = ["TYPICAL_G_PER_KWH", "Learned", "extend", "moments", "replayed", "typical_g_per_kwh"]
 
 
 def extend(

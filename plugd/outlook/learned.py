@@ -7,7 +7,6 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from math import exp, sqrt
-from statistics import median
 
 from plugd.domain import Forecast, Intensity, Series
 from plugd.outlook.tables import (
@@ -41,14 +40,14 @@ EDGES = (12, 24, 72, 120)
 """Where one stretch of looking ahead ends and the next begins: 6, 12, 36, 60 hours."""
 PRIOR = ((0.95, 0.7, 0.5), (0.95, 0.7, 0.4), (0.9, 0.7, 0.3), (0.9, 0.6, 0.2), (0.85, 0.5, 0.1))
 """Weights of a forecast's slow part, its fast part, and of how wrong it is now, in each stretch."""
-PRIOR_DAYS = 3.0
+PRIOR_DAYS = 6.0
 PRIOR_SD = (0.10, 0.14, 0.19, 0.24, 0.28)
 """Share of the usual day that is the standard deviation in each stretch, without evidence."""
 PRIOR_SD_DAYS = 2.0
 TAIL_H = 24.0
 """Beyond a forecast's end its deviation from the usual day falls to 1/e in this time."""
 MOST_OFF = 6.0
-"""A forecast, a measured value as many times the dirtiest usual half hour is an error, not weather."""
+"""A measured value as many times the dirtiest usual half hour is an error, not weather."""
 
 
 def at_of(moment: datetime) -> int:
@@ -99,6 +98,8 @@ class Learned:
     """Everything learned so far; as good as nothing at first."""
 
     day: int = 0
+    first: int | None = None
+    """The earliest measured value that it knows of."""
     final: int = 0
     """Half hour up to which measured values are learned. One that comes later than its successors is left out."""
     recent: tuple[tuple[int, float], ...] = ()
@@ -123,6 +124,10 @@ class Learned:
         if found.said and (not found.sights or at // EVERY > found.sights[-1].first // EVERY):
             found = replace(found, sights=(*found.sights, found.sight(at, AHEAD)))
         return found
+
+    def lacks(self, actuals: Sequence[Intensity]) -> bool:
+        """Whether older values have turned up than it began with, so that it is better learned anew."""
+        return bool(actuals) and (self.first is None or at_of(actuals[0].start) < self.first)
 
     def sight(self, first: int, count: int) -> Sight:
         """What is expected of `count` half hours from `first` on."""
@@ -169,8 +174,10 @@ class Learned:
 
     def _late(self, first: int, off: list[float | None], usual: Series) -> tuple[float, float]:
         """(measured less forecast, measured less usual) over the last measured half hours; 0 where unknown."""
-        rows = [(at, g - usual[at % DAY]) for at, g in self.recent[-LATEST:] if at >= first - SPAN]
-        both = [(y, off[at - first + SPAN]) for at, y in rows if at < first]
+        # What is newer than that was not measured yet, but forecast.
+        measured = [(at, g) for at, g in self.recent if first - SPAN <= at < first - LATE // HALF_HOUR]
+        rows = [(at, g - usual[at % DAY]) for at, g in measured[-LATEST:]]
+        both = [(y, off[at - first + SPAN]) for at, y in rows]
         errors = [y - x for y, x in both if x is not None]
         return (
             sum(errors) / len(errors) if errors else 0.0,
@@ -201,10 +208,11 @@ class Learned:
             if value.g_per_kwh <= most:
                 newest[start] = value.g_per_kwh
         known = sorted(newest.items())
+        first = self.first if self.first is not None or not known else known[0][0]
         settled = [row for row in known if row[0] < at - REVISED]
         final = settled[-1][0] + 1 if settled else self.final
         found = self._compared(settled)
-        return replace(found, final=final, recent=tuple(row for row in known if row[0] >= at - REVISED))
+        return replace(found, first=first, final=final, recent=tuple(row for row in known if row[0] >= at - REVISED))
 
     def _compared(self, values: list[tuple[int, float]]) -> "Learned":
         """With final values: the usual day, the bias, the weights and the spread from them."""
@@ -237,8 +245,6 @@ class Learned:
 
     def with_forecast(self, at: int, forecast: Forecast) -> "Learned":
         """With a newer forecast. Older ones still count for what it leaves out."""
-        if not self.plausible(forecast):
-            return self
         issued = at_of(forecast.issued_at)
         newest = {row.at: row for row in self.said if row.at >= at - SPAN}
         for row in forecast.expected:
@@ -247,16 +253,6 @@ class Learned:
             newest[start] = Said(start, row.g_per_kwh, days_ahead)
         rows = tuple(newest[start] for start in sorted(newest))
         return replace(self, said=rows, issued_at=forecast.issued_at)
-
-    def plausible(self, forecast: Forecast) -> bool:
-        """Whether a forecast could be one of this grid: not of another order of magnitude."""
-        if not forecast.expected:
-            return False
-        usual = usual_day(self.profile, at_of(forecast.issued_at))
-        middle = median(row.g_per_kwh for row in forecast.expected)
-        # Regions exist whose grid is nearly clean: only own history can tell that a low forecast is wrong.
-        least = min(usual) / MOST_OFF if trust(self.profile) > 0.6 else 0.0
-        return least <= middle <= MOST_OFF * max(usual)
 
 
 def replayed(issued: Sequence[Forecast], actuals: Sequence[Intensity], now: datetime) -> Learned:

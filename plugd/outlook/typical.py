@@ -5,6 +5,7 @@ history replaces shape and level within days.
 """
 
 from datetime import datetime
+from statistics import fmean
 
 # fmt: off
 GB_G_PER_KWH = (
@@ -34,6 +35,8 @@ GB_G_PER_KWH = (
      178, 179, 183, 185, 186, 187, 186, 183, 176, 165, 154, 139),
 )
 # fmt: on
+TYPICAL_G_PER_KWH = fmean(g for hours_of_day in GB_G_PER_KWH for g in hours_of_day)
+"""Their mean, 168 g/kWh."""
 
 
 def typical_g_per_kwh(moment: datetime) -> float:

@@ -12,6 +12,7 @@ from plugd.adapters.store import SqliteStore
 from plugd.controller import Controller
 from plugd.cycle import Cycle
 from plugd.domain import Forecast, Household, Intensity, Outlook, PastRow, Plan, RelayRules
+from plugd.outlook import Learned
 from plugd.past import CatchUp
 from plugd.planner.exact import Exact
 from plugd.scoring import Scoring
@@ -99,6 +100,7 @@ def lived(grid: Grid, folder: Path) -> tuple[Diary, World]:
             hub=SimHub(),
             store=store,
             controller=Controller(HOME, Exact()),
+            learned=Learned(),
             memory=perception.fresh(START),
             spread=lambda: 0.0,
             errands=(CatchUp(world, store, lambda: 0.0), Scoring(store)),
