@@ -222,6 +222,8 @@ class Reading:
     """How full the battery is, where it tells the charger itself (CAN) and its last word is not too old."""
     soc_at: datetime | None = None
     current_a: float | None = None
+    changed_over: str = ""
+    """The topic on which somebody else was heard to order the change."""
 
 
 class Mode(StrEnum):
@@ -496,6 +498,10 @@ class SocEstimate:
     doubted: float | None = None
     """A word of the car that was too far off to be believed at once."""
     doubted_at: datetime | None = None
+    unseen_kwh: float = 0.0
+    """What flowed by the power since the meter's total last moved."""
+    lent_kwh: float = 0.0
+    """What was counted by the power because the total is not believed; 0 while it is."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -632,6 +638,12 @@ class Memory:
     on_by: datetime | None = None
     """By when the timer of the off in force is over, where the plug's timer is fixed."""
     habits: Habits = field(default_factory=Habits)
+    moved: tuple[datetime, ...] = ()
+    """When the relay was last moved by somebody else, in ten minutes."""
+    moved_over: str = ""
+    """The topic over which it was moved, as far as it was heard."""
+    contested_until: datetime | None = None
+    """So long plugd leaves the relay to whoever else switches it, but for the guard."""
 
 
 @dataclass(frozen=True, slots=True)

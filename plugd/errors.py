@@ -58,5 +58,9 @@ class PlugFault(PlugError):
     """The plug reports a fault of its own."""
 
 
+class SolveError(PlugdError):
+    """No plan from a solver."""
+
+
 class StoreError(PlugdError):
     """State cannot be read or written."""

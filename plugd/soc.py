@@ -20,6 +20,12 @@ METER_SHARE = 0.02
 FLOWING_KW = 0.05
 TAPERED_SHARE = 0.6
 """A car that is full lets its power fall before it stops; one that is unplugged does not."""
+UNCOUNTED_KWH = 0.3
+"""More than this by the power, and nothing by the total: the total is not believed."""
+LENT_SHARE = 0.1
+"""Growth of the standard deviation per energy reckoned as power x time."""
+LONGEST_SPAN = timedelta(minutes=36)
+"""A power counts for no longer than this."""
 RESET_KWH = 1.0
 """A meter that starts anew shows less than this; anything else that falls is a fault of the meter."""
 
@@ -27,6 +33,8 @@ CAR, CARRIED_ON = "car", "meter"
 """Who says it: the car itself, or nobody for so long that the meter's count is what is left."""
 JUMP, JUMP_PER_MIN = 0.05, 0.05
 """How far a word of the car may be from the estimate, at once and for each minute since the last word."""
+CERTAIN_SD = 3.0
+"""Upwards no time explains a jump, only what was not known: energy that flowed here is in the mean."""
 CONFIRMED_AFTER = timedelta(seconds=60)
 FROZEN = 0.04
 """What may have flowed while the car says exactly what it said before: it may count in whole points."""
@@ -87,11 +95,16 @@ def heard(estimate: SocEstimate, soc: float, now: datetime) -> SocEstimate:
 
 
 def doubts(estimate: SocEstimate, soc: float, now: datetime) -> bool:
-    """Whether a word is further from the estimate than a battery gets in the time since the last word."""
+    """Whether a word is further from the estimate than a battery gets in the time since the last word.
+
+    Upwards it is doubted sooner: believed at once, one wrong word would leave somebody without a car.
+    """
     if estimate.told_at is None:
         return False
     minutes = max(0.0, (now - estimate.told_at).total_seconds() / 60.0)
-    return abs(soc - estimate.mean) > JUMP + JUMP_PER_MIN * minutes
+    if soc > estimate.mean:
+        return soc - estimate.mean > JUMP + min(JUMP_PER_MIN * minutes, CERTAIN_SD * estimate.sd)
+    return estimate.mean - soc > JUMP + JUMP_PER_MIN * minutes
 
 
 def is_news(estimate: SocEstimate, soc: float, now: datetime) -> bool:
@@ -137,13 +150,33 @@ def metered(
     """
     if reading.metered_at is None or (estimate.metered_at is not None and reading.metered_at <= estimate.metered_at):
         return estimate
-    flowed_kwh = _flowed_kwh(estimate, reading, power_max_kw)
+    counted_kwh = _flowed_kwh(estimate, reading, power_max_kw)
+    estimate = _lent(charged(estimate, counted_kwh, car), counted_kwh, reading, car, power_max_kw)
     estimate = replace(
-        charged(estimate, flowed_kwh, car),
+        estimate,
         meter_kwh=reading.energy_kwh if reading.energy_kwh is not None else estimate.meter_kwh,
         metered_at=reading.metered_at,
     )
     return replace(estimate, peak_kw=0.0, last_kw=0.0) if held_back else _noticed_full(estimate, reading, car)
+
+
+def _lent(estimate: SocEstimate, counted_kwh: float, reading: Reading, car: Car, power_max_kw: float) -> SocEstimate:
+    """Beside a total that does not move while power flows, count power x time instead of it."""
+    if counted_kwh > 0.0:
+        return replace(estimate, unseen_kwh=0.0, lent_kwh=0.0)
+    power_kw, before = reading.power_kw, estimate.metered_at
+    plausible = power_kw is not None and 0.0 < power_kw <= 1.5 * power_max_kw
+    if not (plausible and reading.on and power_kw and before and reading.metered_at):
+        return estimate
+    span_kwh = power_kw * hours(min(reading.metered_at - before, LONGEST_SPAN))
+    unseen_kwh = estimate.unseen_kwh + span_kwh
+    twice = estimate.unseen_kwh > 0.0  # one total that cannot be says nothing of the next
+    if estimate.lent_kwh == 0.0 and not (twice and unseen_kwh >= UNCOUNTED_KWH):
+        return replace(estimate, unseen_kwh=unseen_kwh)
+    # What flowed while that was in doubt is left out: a car is charged a little more rather than less.
+    estimate = charged(estimate, span_kwh, car)
+    sd = estimate.sd + LENT_SHARE * span_kwh * car.efficiency / car.capacity_kwh
+    return replace(estimate, sd=sd, unseen_kwh=unseen_kwh, lent_kwh=estimate.lent_kwh + span_kwh)
 
 
 def _flowed_kwh(estimate: SocEstimate, reading: Reading, power_max_kw: float) -> float:

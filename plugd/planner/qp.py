@@ -54,6 +54,8 @@ from plugd.planner.problem import Problem, Solution
 from plugd.planner.ranking import Ranking, ranked
 
 MAX_GAP = 5e-4
+TIME_LIMIT_S = 1.0
+"""A pass that takes longer is given up: it takes a millisecond in health."""
 MAX_SESSIONS = 400
 """Above it the condensed form, whose matrix grows with the square, is no longer the right one: the exact plan is
 given.
@@ -155,6 +157,7 @@ class OsqpWorkspace:
             check_termination=5,
             check_dualgap=True,
             eps_prim_inf=1e-9,  # repaired bounds are feasible; at 1e-4 a tight one is taken for a contradiction
+            time_limit=TIME_LIMIT_S,
             polishing=False,  # fails on a third of the ticks, which are degenerate, and gains nothing
         )
         return solver._solver  # noqa: SLF001 - see the module's docstring
@@ -212,7 +215,10 @@ class Qp:
     ) -> tuple[Account | None, int]:
         """One pass: the plan, or None where OSQP's answer cannot be used; iterations."""
         form = condense(problem, links, ranking, best, settings.epsilon)
-        attempt = self._prepared(form.shape, settings).solve(form)
+        try:
+            attempt = self._prepared(form.shape, settings).solve(form)
+        except (osqp.OSQPException, RuntimeError, ArithmeticError, ValueError, MemoryError):
+            attempt = UNSOUND  # the extension is C: whatever it fell over, there is a plan without it
         if attempt.status != SOLVED or len(attempt.x) != len(form.cost):
             self._kept.pop(settings, None)
             return None, attempt.iterations

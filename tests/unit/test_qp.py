@@ -153,6 +153,31 @@ def test_no_status_but_solved_is_believed(status: int) -> None:
     assert is_fallback(Qp(lying(status, 0.5)).solve(asked), asked)
 
 
+class Fallen:
+    """A workspace whose C code fails."""
+
+    def __init__(self, shape: Shape, settings: Pass) -> None: ...
+
+    def solve(self, form: Condensed) -> Attempt:
+        """Never."""
+        raise RuntimeError("segments")
+
+
+def test_a_workspace_that_falls_over_leaves_the_exact_plan() -> None:
+    asked = make.problem(random.Random(4))
+    solution = Qp(Fallen).solve(asked)
+    assert (solution.status, solution.solver) == ("fallback", "exact")
+    assert make.faults(asked, solution) == []
+
+
+def test_a_solve_that_would_never_end_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("plugd.planner.qp.TIME_LIMIT_S", 1e-12)
+    asked = make.problem(random.Random(4))
+    solution = Qp().solve(asked)
+    assert solution.status == "fallback"
+    assert make.faults(asked, solution) == []
+
+
 @pytest.mark.parametrize("value", [GARBAGE, nan, inf, -inf, -3.0, 0.0, 1e300])
 @pytest.mark.parametrize("length", [5, 1000])
 def test_an_answer_outside_its_bounds_or_cut_short_is_not_believed(value: float, length: int) -> None:

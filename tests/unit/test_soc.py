@@ -137,8 +137,53 @@ def test_two_glitches_that_differ_do_not_confirm_each_other() -> None:
 
 @pytest.mark.parametrize(("minutes", "believed"), [(1, False), (5, False), (10, True), (600, True)])
 def test_how_far_a_word_may_be_off_grows_with_the_time_since_the_last(minutes: float, believed: bool) -> None:
-    after = words(soc.unknown(NOW), (0, 0.5), (60 * minutes, 0.9))
-    assert (after.mean == 0.9) is believed
+    after = words(soc.unknown(NOW), (0, 0.9), (60 * minutes, 0.5))
+    assert (after.mean == 0.5) is believed
+
+
+@pytest.mark.parametrize("minutes", [1, 10, 600])
+def test_no_time_explains_a_jump_upwards_and_one_wrong_word_costs_no_morning(minutes: float) -> None:
+    said = words(soc.unknown(NOW), (0, 0.5), (60 * minutes, 0.95))
+    assert said.mean == 0.5
+    assert words(said, (60 * minutes + 61, 0.95)).mean == 0.95
+
+
+def test_after_days_of_driving_a_word_may_be_as_far_above_as_is_not_known() -> None:
+    driven = soc.driven(words(soc.unknown(NOW), (0, 0.8)), ((NOW, 4),), CAR)
+    assert words(driven, (400_000, 0.6)).mean == 0.6
+    assert words(driven, (400_000, 0.9)).mean == driven.mean
+
+
+# -- a total that is not believed -----------------------------------------------------------------
+
+
+def counted(*totals_kwh: float | None, kw: float | None = 2.0) -> SocEstimate:
+    """After readings every five minutes."""
+    estimate = known(0.5)
+    for k, kwh in enumerate(totals_kwh, start=1):
+        estimate = soc.metered(estimate, reading(5 * k, kwh, kw), CAR, POWER_KW)
+    return estimate
+
+
+@pytest.mark.parametrize("total_kwh", [100.0, 9e6, None], ids=["frozen", "absurd", "missing"])
+def test_a_total_that_does_not_count_is_replaced_by_power_and_time(total_kwh: float | None) -> None:
+    estimate = counted(*[total_kwh] * 36)
+    assert estimate.lent_kwh > 5.0
+    assert estimate.mean == pytest.approx(0.5 + 6.0 * 0.9 / 50, abs=0.01)
+    assert estimate.mean < 0.5 + 6.0 * 0.9 / 50
+    assert estimate.sd > known(0.5).sd + soc.LENT_SHARE * 5.0 * 0.9 / 50
+
+
+def test_a_total_that_counts_again_is_believed_again_and_nothing_twice() -> None:
+    still = counted(*[9e6] * 24)
+    again = soc.metered(still, reading(125, 9e6 + 2.0 / 12), CAR, POWER_KW)
+    assert (again.lent_kwh, again.unseen_kwh) == (0.0, 0.0)
+    assert again.mean == pytest.approx(still.mean + 2.0 / 12 * 0.9 / 50)
+
+
+@pytest.mark.parametrize("kw", [0.0, None, 1000.0, -1.0])
+def test_without_a_power_that_can_be_nothing_is_lent(kw: float | None) -> None:
+    assert counted(*[100.0] * 36, kw=kw).mean == 0.5
 
 
 def test_the_first_word_of_all_is_believed() -> None:
