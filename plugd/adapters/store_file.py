@@ -153,10 +153,9 @@ def _hold(folder: Path) -> IO[str]:
         lock.close()
         who = f" (process {holder})" if holder.isdecimal() else ""
         raise AlreadyRunning(f"{folder}: another plugd{who} works with this folder; end it first") from error
-    lock.seek(0)
-    lock.truncate()
-    lock.write(str(os.getpid()))
-    lock.flush()
+    with suppress(OSError):  # whose it is is a courtesy: a full disk must not keep plugd from starting
+        os.ftruncate(lock.fileno(), 0)
+        os.write(lock.fileno(), str(os.getpid()).encode())
     return lock
 
 
