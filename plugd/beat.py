@@ -12,7 +12,7 @@ from datetime import datetime, timedelta
 from enum import StrEnum
 from functools import partial
 
-from plugd import flow, sessions, soc
+from plugd import contest, flow, sessions, soc
 from plugd.domain import Household, Memory, Mode, Relay, Session, Setpoint, SocEstimate, Switching, Wanted
 from plugd.guard import Need, Verdict, guard
 from plugd.planner.nights import MET_KWH
@@ -39,7 +39,12 @@ class Cause(StrEnum):
     WAKE = "wake"
     TIMER = "timer"
     ABSENT = "absent"
+    CONTESTED = "contested"
     PLAN = "plan"
+
+
+TIMED = (Cause.PLAN, Cause.ABSENT, Cause.CONTESTED)
+"""Whose off ends by itself in time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,7 +175,7 @@ def decide(now: datetime, memory: Memory, household: Household) -> Action:
 def _woken(now: datetime, action: Action, household: Household) -> Action:
     """A car that takes nothing is switched off for a while, once a session, and then on again."""
     memory = action.memory
-    if not action.on or household.capability.modulating:
+    if not action.on or household.capability.modulating or action.cause is Cause.CONTESTED:
         return action
     if flow.sleeps(now, action.session, memory, household):
         memory = flow.wake(now, action.session, memory, household)
@@ -183,7 +188,7 @@ def _woken(now: datetime, action: Action, household: Household) -> Action:
 def _timed(now: datetime, action: Action, household: Household) -> Action:
     """An off with the time by which its timer has to be over. A fixed timer that would end later: on instead."""
     capability, memory, start = household.capability, action.memory, action.verdict.last_safe_start
-    off = isinstance(action.wanted, Relay) and action.cause in (Cause.PLAN, Cause.ABSENT) and not action.on
+    off = isinstance(action.wanted, Relay) and not action.on and action.cause in TIMED
     if not (off and capability.dead_man) or start is None:
         return action if memory.on_by is None else replace(action, memory=replace(memory, on_by=None))
     if capability.fixed_timer_s is None:
@@ -214,7 +219,8 @@ def _decided(now: datetime, memory: Memory, household: Household) -> Action:
     press = memory.press
     off_by_person = memory.overrides.mode is Mode.OFF or (press is not None and not press.on)
     cut = memory.flow.cut is not None
-    fired = verdict.on and not (off_by_person or cut)
+    quiet_at = contest.quiet_at(now, memory)
+    fired = verdict.on and not (off_by_person or cut or quiet_at)
     fresh = fired and not memory.guarding
     memory = replace(memory, guarding=fired, guard_count=memory.guard_count + int(fresh))
     act = partial(Action, memory=memory, verdict=verdict, session=session)
@@ -223,6 +229,11 @@ def _decided(now: datetime, memory: Memory, household: Household) -> Action:
     if off_by_person:
         ends = None if press is None else press.until
         return act(_off(now, household, held=True), Cause.PERSON_OFF, until=ends)
+    if contest.fought(now, memory) and not fired:
+        moments = (quiet_at, memory.contested_until, verdict.last_safe_start)
+        until = min((m for m in moments if m is not None and m > now), default=None)
+        left = _full_on(now, household) if memory.relay_on else _off(now, household, held=False)
+        return act(left, Cause.CONTESTED, until=until)
     for holds, cause in (
         (fired, Cause.GUARD),
         (_below_reserve(session, memory, household), Cause.RESERVE),

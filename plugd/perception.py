@@ -3,7 +3,7 @@
 from dataclasses import replace
 from datetime import datetime, timedelta
 
-from plugd import flow, habits, sessions, soc
+from plugd import contest, flow, habits, sessions, soc
 from plugd.beat import next_plug_in
 from plugd.domain import Household, Memory, Mode, Press, Reading, Setpoint, SocEstimate
 
@@ -37,16 +37,21 @@ def perceive(now: datetime, reading: Reading | None, memory: Memory, household: 
 
 
 def _seen(now: datetime, reading: Reading, memory: Memory, household: Household) -> Memory:
-    """What the plug itself tells."""
+    """What the plug itself tells.
+
+    One that said "on" and gave nothing, and says "off" now, has only come to tell the truth: nobody pressed.
+    """
     power_kw = household.capability.power_max_kw
+    never_flowed = flow.is_idle(now, memory, household) and not memory.flow.flowed
     memory = flow.seen(now, reading, memory, household)
     memory = replace(memory, observed_kw=_observed_kw(reading, memory, household))
     held_back = isinstance(memory.orders, Setpoint) and memory.orders.power_kw < power_kw
     metered = soc.metered(memory.soc, reading, household.car, power_kw, held_back=held_back)
     memory = replace(memory, soc=metered)
     memory = replace(memory, soc=_told_soc(reading, memory.soc))
-    if reading.changed_by_other is not None:
+    if reading.changed_by_other is not None and not (never_flowed and reading.changed_by_other is False):
         memory = _pressed(now, reading.changed_by_other, memory, household)
+        memory = replace(contest.moved(now, memory), moved_over=reading.changed_over)
     if reading.on is not memory.relay_on:
         # Seen for the first time, it may have been so for long: no dwell time is due.
         since = None if memory.relay_on is None else reading.at

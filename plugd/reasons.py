@@ -11,6 +11,8 @@ from plugd.units import to_pct
 PLANNED_KWH = 0.05
 """Less than this in a session is nothing planned."""
 SHORT = 0.005
+UNPLANNED = ("clock", "safe_mode")
+"""With one of these no plan counts."""
 """A morning minimum missed by less is not spoken of: it would be "0 % short"."""
 UNREACHED = ("plug_silent", "plug_refuses")
 """With one of these faults nothing of what is wanted may be happening."""
@@ -86,6 +88,10 @@ def _held(action: Action, memory: Memory, household: Household) -> str:
         case Cause.RESERVE:
             reserve = _percent(household.car.soc_min)
             return f"Charging now: the battery may be below the reserve of {reserve}." + _doubt(memory)
+        case Cause.CONTESTED:
+            until = memory.contested_until
+            end = f" until {_clock(until, household)}" if until else ""
+            return f"Something else switches this plug, so it is left as it is{end}; the last safe start counts still."
         case Cause.PERSON_ON:
             return _asked(memory, household)
         case _:
@@ -157,6 +163,7 @@ _STATUS = {
     Cause.RESERVE: Status.CHARGING,
     Cause.PERSON_ON: Status.BOOSTING,
     Cause.ABSENT: Status.DISCONNECTED,
+    Cause.CONTESTED: Status.FAULT,
 }
 
 
@@ -198,6 +205,9 @@ def explain(
         found += "; look at its charge limit, its timer and the cable" if memory.presence.connected else ""
         status = Status.FAULT if memory.presence.connected else status
         reason = f"{found[0].upper()}{found[1:]}. {reason}"
+    unset = next((fault.text for fault in faults if fault.code in UNPLANNED), None)
+    if unset is not None and action.cause not in (Cause.CUT, Cause.PERSON_OFF):
+        status, reason = Status.FAULT, f"{unset[0].upper()}{unset[1:]}."
     if broken is None:
         return status, reason
     return Status.FAULT, f"The plug is not under control: {broken}. Wanted: {reason}"

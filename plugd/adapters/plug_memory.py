@@ -18,6 +18,8 @@ REBOOT_S = 60.0
 RENEWALS = 6
 """OFF is sent this many times in the dead-man's time; five times as often while it stays unanswered."""
 LEAST_TIMER_S = 1.0
+OVERHEARD_S = 10.0
+"""A relay that moves so soon after somebody's command has obeyed it."""
 COOL_S = 600.0
 """A plug that has switched itself off for protection is not switched on again before this."""
 DAWN = -math.inf
@@ -66,6 +68,10 @@ class PlugMemory:
     off_s: float = DAWN
     """When the last OFF that it has confirmed was sent."""
     moved: bool | None = None
+    moved_over: str = ""
+    """The topic on which somebody else was heard to order that."""
+    overheard: tuple[str, float] = ("", DAWN)
+    """A command of somebody else's: its topic, and when."""
     came_back: bool = False
     unsettled: bool = False
     """It was away, and whether it has booted since is not known yet."""
@@ -136,6 +142,8 @@ class PlugMemory:
         itself = self._timer_ran_out(by_timer, now_s) if on else bool(self.errors)
         if not mine and not itself:
             self.moved = on
+            topic, at_s = self.overheard
+            self.moved_over = topic if now_s - at_s <= OVERHEARD_S else ""
 
     def _timer_ran_out(self, by_timer: bool, now_s: float) -> bool:
         """Whether no OFF has reached it for the dead-man's time: then the timer has switched it on."""
@@ -203,6 +211,7 @@ class PlugMemory:
             changed_by_other=self.moved,
             came_back=self.came_back,
             current_a=self.current_a if now_s - self.power_s <= FRESH_S else None,
+            changed_over=self.moved_over if self.moved is not None else "",
         )
         self.moved, self.came_back = None, False
         return reading

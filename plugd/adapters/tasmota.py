@@ -134,6 +134,8 @@ class Tasmota:
         kind, tail = message.topic.split("/", 1)[0], message.topic.rsplit("/", 1)[-1]
         if kind == "cmnd":
             self._ghost = bool(message.payload) if message.retain else self._ghost
+            if message.payload:
+                self._plug.overheard = (message.topic, self._line.now()[1])
         elif tail == "LWT":
             self._line.last_word = PRESENCE.get(message.payload, "says something else")
             if message.payload == b"Online" and not message.retain:
