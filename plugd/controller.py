@@ -4,11 +4,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 
-from plugd import beat, commands, flow, habits, reasons, sessions, soc
+from plugd import beat, commands, contest, flow, habits, reasons, safe_mode, sessions, soc
 from plugd import outlook as outlooks
 from plugd.domain import (
     Capability,
     Decision,
+    Fault,
     Household,
     Intensity,
     Memory,
@@ -22,10 +23,12 @@ from plugd.domain import (
     SocEstimate,
     Switching,
 )
+from plugd.errors import SolveError
 from plugd.guard import believed_kw
 from plugd.outlook import Learned
 from plugd.perception import perceive
 from plugd.planner import hold, nights, taper
+from plugd.planner.exact import Exact
 from plugd.planner.problem import Solver
 from plugd.relay import RelayHistory, delay_s, realise
 from plugd.units import within
@@ -33,6 +36,14 @@ from plugd.units import within
 LEAST_KW = 1e-3
 """Less in a slot is the solver's rounding."""
 FULL_SHARE = 0.999
+SIMPLE_PLAN = (
+    "the solver gave no plan that could be used: the simple exact one counts, as clean but less still; nothing needs "
+    "doing unless it goes on for days"
+)
+NO_METER = (
+    "the meter's total stands still or jumps while power flows, and is not believed: energy is counted as power x "
+    "time until it counts again; restart the plug, or reset its meter"
+)
 
 
 @dataclass(slots=True)
@@ -43,6 +54,8 @@ class Controller:
     solver: Solver
     seed: str = "plugd"
     """What sets this household's random delays apart from its neighbours'."""
+    safe: bool = False
+    """Nothing is planned: see `safe_mode`."""
 
     def tick(self, now: datetime, seen: Observation, memory: Memory, learned: Learned | None = None) -> Decision:
         """Obey commands, look at the plug, plan the next sessions, and turn tonight's plan into orders.
@@ -55,7 +68,9 @@ class Controller:
         horizon = memory.overrides.horizon or house.nights.horizon
         coming = sessions.expected(now, house, memory.overrides, memory.presence, horizon)
         outlook = None
-        if coming:
+        if self.safe:
+            memory = replace(memory, plan=None, orders=safe_mode.orders(now, memory, house))
+        elif coming:
             outlook = outlooks.extend(seen.forecast, seen.history, now, coming[-1].end, learned)
             plan = self._plan(now, coming, outlook, seen.history, memory, house)
             memory = replace(memory, plan=plan, orders=self._orders(now, plan, memory, house))
@@ -84,7 +99,8 @@ class Controller:
         """The decision as it stands, with its status and reason."""
         house = self.house(memory)
         action = beat.decide(now, memory, house)
-        faults = (*seen.faults, *flow.faults(now, action.memory, house))
+        faults = (*seen.faults, *flow.faults(now, action.memory, house), *believed(action.memory))
+        faults += contest.faults(now, action.memory, house) + (safe_mode.faults(house) if self.safe else ())
         status, reason = reasons.explain(now, action, action.memory, outlook, house, faults)
         planned = memory.plan.sessions if memory.plan else ()
         return Decision(
@@ -115,7 +131,11 @@ class Controller:
         parts = nights.layout(coming, now, energy_kwh, power_kw, house, unsure_kwh=unsure_kwh)
         asked = nights.problem(parts, outlook, energy_kwh, memory.plan, house, history)
         held = hold.held(asked, parts, now, house)
-        stated, solution = taper.solve(self.solver, held, car)
+        try:
+            stated, solution = taper.solve(self.solver, held, car)
+        except SolveError:
+            stated, solution = taper.solve(Exact(), held, car)
+            solution = replace(solution, status="fallback")
         stated, solution = hold.let_go(asked, stated, solution)
         return nights.plan(now, parts, stated, solution, house)
 
@@ -133,6 +153,16 @@ class Controller:
     def _delay(self, block_start: datetime) -> float:
         """Seconds by which a block of the plan starts later, so that neighbours do not start as one."""
         return delay_s(block_start, seed=self.seed, most_s=self.household.relay.random_delay_s)
+
+
+def believed(memory: Memory) -> tuple[Fault, ...]:
+    """What of the solver and of the meter is not believed."""
+    found = []
+    if memory.plan is not None and memory.plan.status == "fallback":
+        found.append(Fault("solver", SIMPLE_PLAN))
+    if memory.soc.lent_kwh > 0.0:
+        found.append(Fault("meter", NO_METER))
+    return tuple(found)
 
 
 def orders(

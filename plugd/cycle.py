@@ -2,11 +2,11 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from datetime import datetime
+from datetime import datetime, timedelta
 from functools import partial
 from typing import TypeVar
 
-from plugd import commands, flow
+from plugd import commands, flow, safe_mode
 from plugd.beat import Action, is_off_again, is_on, is_same
 from plugd.beat import Cause as By
 from plugd.book import Book
@@ -32,12 +32,15 @@ from plugd.plausible import believed
 from plugd.ports import Clock, Errand, ForecastSource, Hub, Inbox, Plug, Store, Tended
 from plugd.retry import Retry
 from plugd.units import next_slot, slot_start
+from plugd.wall import Wall, newest, shifted
 
 LOOK_S = 10.0
 FETCH_RETRY_S = (60.0, 120.0, 240.0, 480.0, 960.0, 1800.0)
 PLUG_RETRY_S = (5.0, 15.0, 60.0)
 MOST_OFFS = 3
 """A relay that stays on is told off so often, and then left alone: moving it more would only wear it."""
+TIMELESS = ("save", "history")
+"""What is asked of the store without a clock too: nothing that is entered under a date."""
 Kept = TypeVar("Kept")
 
 
@@ -72,10 +75,21 @@ class Cycle:
     switch: Retry = field(default_factory=lambda: Retry(PLUG_RETRY_S))
     offs: int = 0
     """How often the relay was told off in a row, and stayed on."""
+    wall: Wall = field(init=False)
+    began_s: float = 0.0
+    """When it was made, by the monotonic clock."""
+    ahead: timedelta = timedelta(0)
+    """How far the clock is ahead of the time that is believed."""
+
+    def __post_init__(self) -> None:
+        self.wall = Wall(known=newest(self.memory))
+        self.began_s = self.clock.monotonic()
 
     def step(self) -> datetime:
         """Look, decide and act once. Returns when to be called again at the latest."""
-        now = self.clock.now()
+        now = self._now()
+        if self.controller.safe and self.clock.monotonic() - self.began_s >= safe_mode.LASTS_S:
+            self.controller.safe, self.planned_at, self.memory = False, None, replace(self.memory, orders=None)
         was_on = self.memory.relay_on
         reading = self._read()
         orders = tuple(order for order in self.hub.commands() if commands.is_news(order, self.memory, now))
@@ -90,17 +104,17 @@ class Cycle:
             seen = self._seen(reading, history=self._history(now))
             self.decision = self.controller.resume(now, seen, self.memory, self._learn(now, seen))
         # What the tick has seen of the plug is in the memory: `act` looks at it only where none was.
-        action = self.controller.act(now, self._seen(None if ticks else reading), self.memory)
+        action = self._timely(self.controller.act(now, self._seen(None if ticks else reading), self.memory))
         changed = _lasting(action.memory) != _lasting(self.memory)
         self.memory = action.memory
         moved = self._apply(now, action, reading, was_on)
         if moved or changed:
             self._save()
-        self._tend(now)
+        self._tend(self.clock.now())
         self._keep_book(now, reading, settle=due)
         self._publish(now, reading)
         self._run_errands(now, fetched=due)
-        return self._next(now, action)
+        return self._next(now, action) + self.ahead
 
     def rest(self, due: datetime, inbox: Inbox, stopped: Callable[[], bool]) -> None:
         """Wait until `due` or a message. A plug that wants a word a second gets it, and is looked at every `LOOK_S`."""
@@ -112,6 +126,26 @@ class Cycle:
         while not (stopped() or inbox.pending()) and self.clock.now() < due and self.clock.monotonic() < look_s:
             self.clock.wait(min(due, plug.due() or due), plug.line)
             self._tend(self.clock.now())
+
+    # -- the time ---------------------------------------------------------------------------------
+
+    def _now(self) -> datetime:
+        """The time as it is believed. After a step of the clock all is planned anew."""
+        shown = self.clock.now()
+        now = self.wall.look(shown, self.clock.monotonic())
+        self.ahead = shown - now
+        if self.wall.jumped:
+            self.memory = shifted(self.memory, self.wall.jumped)
+            self.planned_at = None
+        return now
+
+    def _timely(self, action: Action) -> Action:
+        """Without a clock: as it is, and after ten minutes on, unless a person or safety says off."""
+        if self.wall.believed or action.cause in (By.CUT, By.PERSON_OFF):
+            return action
+        most_kw = self.controller.household.capability.power_max_kw
+        wanted = self.wall.wanted(action.wanted, self.memory.relay_on, self.clock.monotonic(), most_kw)
+        return replace(action, wanted=wanted, cause=By.GUARD)  # not on the plan's budget
 
     # -- looking ----------------------------------------------------------------------------------
 
@@ -129,7 +163,10 @@ class Cycle:
     def _seen(
         self, reading: Reading | None, orders: tuple[Command, ...] = (), history: tuple[Intensity, ...] = ()
     ) -> Observation:
-        faults = {fault.code: fault for fault in (*self.faults.values(), *self.plug.warnings, *self.hub.warnings)}
+        faults = {
+            fault.code: fault
+            for fault in (*self.faults.values(), *self.wall.faults(), *self.plug.warnings, *self.hub.warnings)
+        }
         return Observation(reading, self.forecast, history, orders, tuple(faults.values()))
 
     def _tick_due(self, now: datetime) -> bool:
@@ -146,6 +183,8 @@ class Cycle:
 
     def _fetch(self, now: datetime) -> None:
         """A newer forecast, at most one a half hour; the last good one stays until then."""
+        if not self.wall.believed or self.controller.safe:
+            return
         issued = self.forecast.issued_at if self.forecast else None
         if issued is not None and slot_start(issued) == slot_start(now):
             return
@@ -283,7 +322,8 @@ class Cycle:
         """Whether the relay has moved; if so, for the dwell times and the switch budget."""
         if self.memory.relay_on is action.on:
             return False
-        self.memory = replace(self.memory, relay_on=action.on, relay_since=now)
+        anew = replace(self.memory.flow, idle_since=None, flowed=False)  # whatever flowed, did so before
+        self.memory = replace(self.memory, relay_on=action.on, relay_since=now, flow=anew)
         self._count(now, action)
         return True
 
@@ -328,6 +368,8 @@ class Cycle:
 
     def _stored(self, what: str, act: Callable[[], Kept], otherwise: Kept) -> Kept:
         """What the store answers. Where it fails a fault stands until the same succeeds; decisions go on."""
+        if self.controller.safe or (not self.wall.believed and what not in TIMELESS):
+            return otherwise
         try:
             answer = act()
         except StoreError as error:

@@ -15,12 +15,14 @@ from types import FrameType
 from plugd import __version__, perception
 from plugd.adapters.allocator import Allocator
 from plugd.adapters.hub import MqttHub, Topics
+from plugd.adapters.kept_twice import KeptTwice
 from plugd.adapters.mqtt import Broker, MqttConnection
 from plugd.adapters.neso import Neso, Wait, to_the_end
 from plugd.adapters.openevse import OpenEvse, whole_amps
 from plugd.adapters.plain import PRESETS, Plain
 from plugd.adapters.planner_child import PlannerChild
 from plugd.adapters.shelly2 import Shelly2
+from plugd.adapters.starts import Starts
 from plugd.adapters.store import SqliteStore
 from plugd.adapters.switched import SwitchedPlug
 from plugd.adapters.systemd import Supervisor
@@ -155,10 +157,14 @@ def hub_for(config: Config, connection: MqttConnection, plug: Plug) -> MqttHub:
     return MqttHub(connection, topics, household(config, plug.capability))
 
 
-def cycle_for(config: Config, clock: Clock, connection: MqttConnection, store: SqliteStore) -> Cycle:
-    """The cycle with its ports, and the memory of the last run."""
+def cycle_for(
+    config: Config, clock: Clock, connection: MqttConnection, store: SqliteStore, *, safe: bool = False
+) -> Cycle:
+    """The cycle with its ports, and the memory of the last run. `safe`: of that only what people have set."""
     plug = plug_for(config, connection, clock)
-    remembered = _remembered(store)
+    remembered = _remembered(store) or perception.fresh(clock.now())
+    if safe:  # whatever is in the memory may be what ends it
+        remembered = replace(perception.fresh(clock.now()), overrides=remembered.overrides)
     home = household(config, plug.capability)
     seed = f"{config.name}/{config.plug.topic}"
     source = source_for(config, patience(clock=clock))
@@ -169,9 +175,9 @@ def cycle_for(config: Config, clock: Clock, connection: MqttConnection, store: S
         plug=plug,
         hub=hub_for(config, connection, plug),
         store=store,
-        controller=Controller(home, solver_for(config), seed),
+        controller=Controller(home, solver_for(config), seed, safe=safe),
         learned=Learned(),
-        memory=remembered or perception.fresh(clock.now()),
+        memory=remembered,
         spread=spread,
         forecast=kept_forecast(store, config),
         book=Book(store, home),
@@ -187,10 +193,13 @@ def state_folder(config: Config) -> Path:
 def _remembered(store: SqliteStore) -> Memory | None:
     """The last run's memory; one that cannot be read is said, and done without."""
     try:
-        return store.load()
+        memory = store.load()
     except StoreError as error:
         log.warning("%s", error)
         return None
+    if isinstance(store, KeptTwice) and store.fell_back:
+        log.warning("what was set is taken from the copy beside the store")
+    return memory
 
 
 def kept_forecast(store: SqliteStore, config: Config) -> Forecast | None:
@@ -246,14 +255,16 @@ def run(config: Config, clock: Clock) -> None:
     """Run until a signal. Raises ConfigError, AlreadyRunning, StoreError before anything is switched."""
     stop, allocator = Stop(), Allocator()
     with ExitStack() as left:
-        store = SqliteStore(state_folder(config))
+        store = KeptTwice(state_folder(config))
+        starts = Starts(state_folder(config))
+        safe = starts.begun(clock.now())
         left.callback(store.close)
         for notice in store.notices:
             log.warning("%s", notice)
         connection = connect(config)
         left.callback(connection.close)
         left.enter_context(_signals(stop, connection))
-        cycle = cycle_for(config, clock, connection, store)
+        cycle = cycle_for(config, clock, connection, store, safe=safe)
         log.info("plugd %s runs: %s", __version__, _told(config))
         connection.start()
         connection.wait_connected(BROKER_PATIENCE_S)
@@ -268,6 +279,7 @@ def run(config: Config, clock: Clock) -> None:
             supervisor.beat(ailment(cycle.decision, connection), cycle.shown.reason if cycle.shown else "")
             allocator.tidy(clock.monotonic())
             cycle.rest(due, inbox, lambda: stop.asked)
+        starts.ended()
         supervisor.stopping()
         if isinstance(hub, MqttHub):
             hub.close()

@@ -60,6 +60,26 @@ KNOWN: dict[str, Known] = {
         "An old command is kept at the broker",
         "Clear it (mosquitto_pub -r -n -t and the topic), and see that nobody publishes it retained again.",
     ),
+    "meter": Known(
+        "The meter does not count",
+        "Unplug the plug and plug it in again, or reset its meter. Until then energy is reckoned as power x time.",
+    ),
+    "solver": Known(
+        "The simple plan counts",
+        "Nothing for a day: the simple plan is as clean. Then send what plugd dump says to whoever keeps plugd.",
+    ),
+    "clock": Known(
+        "The clock is not set",
+        "Look at the network and at timedatectl: without the time plugd charges at once, and enters nothing.",
+    ),
+    "fought_over": Known(
+        "Something else switches this plug",
+        "Stop the other one: an automation, a timer, an app. One plug wants one controller.",
+    ),
+    "safe_mode": Known(
+        "It has ended again and again",
+        "Look at the log for what ends it, and send that to whoever keeps plugd. Meanwhile it charges from 23 to 6.",
+    ),
     "car_soc": Known(
         "The car's state of charge makes no sense",
         "Set soc_topic, soc_json_key and soc_unit under [car] to what the car says; mosquitto_sub -v shows that.",

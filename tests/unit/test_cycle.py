@@ -32,10 +32,12 @@ from plugd.errors import (
     PlugFault,
     PlugRefused,
     PlugTimeout,
+    SolveError,
     StoreError,
 )
 from plugd.past import LATE
 from plugd.perception import fresh
+from plugd.planner.problem import Problem, Solution
 from plugd.retry import Retry
 from plugd.units import next_slot, slot_start
 from tests.unit.deciding import CHARGER, EVENING, EXPECTED, NIGHT, READY_BY, Room, at, forecast, knows, minutes
@@ -703,3 +705,24 @@ def test_told_away_the_relay_is_off_until_the_guard_must() -> None:
     assert house.plug.tries[1] == pytest.approx(at(4, 56, day=3), abs=minutes(1))
     house.run(READY_BY + minutes(5))
     assert house.plug.told == [OFF, ON, OFF], "the morning is over and nobody is there"
+
+
+class Fallen:
+    """A solver that fails."""
+
+    def solve(self, problem: Problem) -> Solution:
+        """Never."""
+        raise SolveError("it fell over")
+
+
+def test_without_its_solver_it_plans_with_the_simple_one_and_says_so() -> None:
+    house = room()
+    house.step()
+    right = sessions_of(house)
+    house.cycle.controller.solver = Fallen()
+    house.step(EVENING + minutes(30))
+    assert house.faults()["solver"].startswith("the solver gave no plan")
+    assert [s.session.end for s in sessions_of(house)] == [s.session.end for s in right]
+    house.cycle.controller.solver = house.solver
+    house.step(EVENING + minutes(60))
+    assert "solver" not in house.faults()

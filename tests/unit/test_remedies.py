@@ -80,5 +80,8 @@ NOT_IN_A_SCENARIO = {
     "plug_dead_man": "tests/adapters/test_switched.py",
     "plug_meter": "tests/adapters/test_switched.py",
     "store": "tests/unit/test_cycle.py",
+    "clock": "tests/unit/test_wall.py",
+    "safe_mode": "tests/unit/test_safe_mode.py",
+    "solver": "tests/unit/test_cycle.py",
 }
 """And where it is tried instead."""
