@@ -20,7 +20,7 @@ LOCK := $(VENV)-lock/bin/uv pip compile --quiet --universal --python-version 3.1
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 export PIP_ROOT_USER_ACTION = ignore
 
-.PHONY: help demo test hub-test pictures weeks study plugs deadman fuzz broken can-week can-fuzz scenarios natural check bench lock clean deb test-deb test-arm64
+.PHONY: help demo test hub-test pictures weeks study plugs deadman fuzz broken can-week can-fuzz nights chaos scenarios natural check bench lock clean deb test-deb test-arm64
 .PHONY: footprint sbom audit
 .DELETE_ON_ERROR:
 
@@ -65,6 +65,15 @@ can-week: $(READY) ## a week of the demo with the charger on CAN: no morning mis
 
 can-fuzz: $(READY) ## a million frames at random against the charger on CAN
 	$(VENV)/bin/python -m tests.fuzz_can $(ARGS)
+
+nights: $(READY) ## two thousand nights in which things fail, five hundred with two at once: no morning missed
+	$(VENV)/bin/python -m tests.chaos $(ARGS)
+
+chaos: $(READY) ## every table of docs/reliability.md: nights, store, broker, a month; ARGS goes to the nights
+	$(VENV)/bin/python -m tests.chaos $(ARGS)
+	$(VENV)/bin/python -m tests.chaos_store
+	$(VENV)/bin/python -m tests.broker_kills
+	$(VENV)/bin/python -m tests.soak
 
 study: $(READY) ## the paper's table and regions on measured intensity ($PLUGD_DATA), two seeds, and that they hold
 	$(VENV)/bin/python tests/study_figures.py
