@@ -5,6 +5,7 @@
 PYTHON ?= python3
 VENV ?= .venv
 ARGS ?=
+STORE ?=
 # Real hubs for `make hub-test`. Home Assistant wants Python 3.13 or newer; without Node-RED its part is left out.
 HASS ?= .venv-hass/bin/hass
 HASS_PYTHON ?= python3.13
@@ -69,9 +70,9 @@ can-fuzz: $(READY) ## a million frames at random against the charger on CAN
 nights: $(READY) ## two thousand nights in which things fail, five hundred with two at once: no morning missed
 	$(VENV)/bin/python -m tests.chaos $(ARGS)
 
-chaos: $(READY) ## every table of docs/reliability.md: nights, store, broker, a month; ARGS goes to the nights
+chaos: $(READY) ## every table of docs/reliability.md: nights, store, broker, a month; ARGS goes to the nights, STORE to the store
 	$(VENV)/bin/python -m tests.chaos $(ARGS)
-	$(VENV)/bin/python -m tests.chaos_store
+	$(VENV)/bin/python -m tests.chaos_store $(STORE)
 	$(VENV)/bin/python -m tests.broker_kills
 	$(VENV)/bin/python -m tests.soak
 
