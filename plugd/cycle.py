@@ -6,39 +6,35 @@ from datetime import datetime, timedelta
 from functools import partial
 from typing import TypeVar
 
-from plugd import commands, flow, safe_mode
-from plugd.beat import Action, is_off_again, is_on, is_same
+from plugd import commands, safe_mode
+from plugd.actuator import Actuator
+from plugd.beat import Action
 from plugd.beat import Cause as By
 from plugd.book import Book
 from plugd.controller import Controller
 from plugd.domain import (
     Command,
     Decision,
-    Fault,
     Forecast,
     Intensity,
     Memory,
     Observation,
     Reading,
     Record,
-    Relay,
     Setpoint,
-    Wanted,
 )
-from plugd.errors import ForecastError, ForecastLate, PlugError, PlugRefused, StoreError
+from plugd.errors import ForecastError, ForecastLate, StoreError
 from plugd.outlook import Learned, replayed
 from plugd.past import HISTORY, LATE
 from plugd.plausible import believed
 from plugd.ports import Clock, Errand, ForecastSource, Hub, Inbox, Plug, Store, Tended
+from plugd.register import Register
 from plugd.retry import Retry
 from plugd.units import next_slot, slot_start
 from plugd.wall import Wall, newest, shifted
 
 LOOK_S = 10.0
 FETCH_RETRY_S = (60.0, 120.0, 240.0, 480.0, 960.0, 1800.0)
-PLUG_RETRY_S = (5.0, 15.0, 60.0)
-MOST_OFFS = 3
-"""A relay that stays on is told off so often, and then left alone: moving it more would only wear it."""
 TIMELESS = ("save", "history")
 """What is asked of the store without a clock too: nothing that is entered under a date."""
 Kept = TypeVar("Kept")
@@ -64,17 +60,13 @@ class Cycle:
     """The ledger, where one is kept."""
     errands: Sequence[Errand] = ()
     """What is done beside all this when there is time."""
-    faults: dict[tuple[str, str], Fault] = field(default_factory=dict)
-    """By code, and by what failed where that has several ways to."""
+    faults: Register = field(default_factory=Register)
     decision: Decision | None = None
     shown: Decision | None = None
     """The decision as it was last published."""
-    told: Wanted | None = None
     planned_at: datetime | None = None
     fetch: Retry = field(default_factory=lambda: Retry(FETCH_RETRY_S))
-    switch: Retry = field(default_factory=lambda: Retry(PLUG_RETRY_S))
-    offs: int = 0
-    """How often the relay was told off in a row, and stayed on."""
+    actuator: Actuator = field(init=False)
     wall: Wall = field(init=False)
     began_s: float = 0.0
     """When it was made, by the monotonic clock."""
@@ -82,6 +74,7 @@ class Cycle:
     """How far the clock is ahead of the time that is believed."""
 
     def __post_init__(self) -> None:
+        self.actuator = Actuator(self.plug, self.faults)
         self.wall = Wall(known=newest(self.memory))
         self.began_s = self.clock.monotonic()
 
@@ -91,7 +84,7 @@ class Cycle:
         if self.controller.safe and self.clock.monotonic() - self.began_s >= safe_mode.LASTS_S:
             self.controller.safe, self.planned_at, self.memory = False, None, replace(self.memory, orders=None)
         was_on = self.memory.relay_on
-        reading = self._read()
+        reading = self.actuator.read()
         orders = tuple(order for order in self.hub.commands() if commands.is_news(order, self.memory, now))
         pressed = reading is not None and reading.changed_by_other is not None
         due = self._tick_due(now)
@@ -107,10 +100,10 @@ class Cycle:
         action = self._timely(self.controller.act(now, self._seen(None if ticks else reading), self.memory))
         changed = _lasting(action.memory) != _lasting(self.memory)
         self.memory = action.memory
-        moved = self._apply(now, action, reading, was_on)
+        self.memory, moved = self.actuator.apply(now, action, reading, self.memory, was_on)
         if moved or changed:
             self._save()
-        self._tend(self.clock.now())
+        self.actuator.tend(self.clock.now())
         self._keep_book(now, reading, settle=due)
         self._publish(now, reading)
         self._run_errands(now, fetched=due)
@@ -125,7 +118,7 @@ class Cycle:
         look_s = self.clock.monotonic() + LOOK_S
         while not (stopped() or inbox.pending()) and self.clock.now() < due and self.clock.monotonic() < look_s:
             self.clock.wait(min(due, plug.due() or due), plug.line)
-            self._tend(self.clock.now())
+            self.actuator.tend(self.clock.now())
 
     # -- the time ---------------------------------------------------------------------------------
 
@@ -149,23 +142,11 @@ class Cycle:
 
     # -- looking ----------------------------------------------------------------------------------
 
-    def _read(self) -> Reading | None:
-        try:
-            reading = self.plug.read()
-        except PlugError as error:
-            self._fault("plug_silent", str(error))
-            return None
-        self._clear("plug_silent")
-        if reading.came_back:
-            self.told = None  # whatever it was told, it may have forgotten
-        return reading
-
     def _seen(
         self, reading: Reading | None, orders: tuple[Command, ...] = (), history: tuple[Intensity, ...] = ()
     ) -> Observation:
         faults = {
-            fault.code: fault
-            for fault in (*self.faults.values(), *self.wall.faults(), *self.plug.warnings, *self.hub.warnings)
+            fault.code: fault for fault in (*self.faults, *self.wall.faults(), *self.plug.warnings, *self.hub.warnings)
         }
         return Observation(reading, self.forecast, history, orders, tuple(faults.values()))
 
@@ -197,10 +178,10 @@ class Cycle:
             return
         except ForecastError as error:
             self.fetch.failed(now, self.spread())
-            self._fault("forecast", f"{error}; {self._forecast_age(now)}")
+            self.faults.stand("forecast", f"{error}; {self._forecast_age(now)}")
             return
         self.fetch.succeeded()
-        self._clear("forecast")
+        self.faults.end("forecast")
         forecast = self.forecast
         self._stored("keep", lambda: self.store.keep(forecast), None)
 
@@ -257,87 +238,6 @@ class Cycle:
         )
         self._stored("append", lambda: self.store.append(record), None)
 
-    # -- acting -----------------------------------------------------------------------------------
-
-    def _apply(self, now: datetime, action: Action, reading: Reading | None, was_on: bool | None) -> bool:
-        """Tell the plug where it is not as wanted. Returns whether the relay was moved."""
-        wanted = action.wanted
-        same = self.told is not None and is_same(self.told, wanted)
-        stays_on = self._stays_on(reading, wanted)
-        as_wanted = reading is not None and reading.on is is_on(wanted) and not stays_on
-        # An "on" that is already on needs no word; an "off" has to be taken once, to arm or disarm its timer.
-        if as_wanted and (wanted == Relay(True) or (same and self.switch.failures == 0)):
-            obeyed = same and self.switch.failures > 0 and not was_on  # without an answer, as is seen only now
-            self.told = self.told if same else wanted  # a setpoint told earlier ends when it was told to
-            self.switch.succeeded()
-            self._clear("plug_refuses")
-            if obeyed:
-                self._count(now, action)
-            return obeyed
-        again = stays_on and is_off_again(self.told, wanted)
-        if (same or again) and not self.switch.due(now):
-            return False
-        if not again:
-            self.offs = MOST_OFFS - 1 if ("relay_stuck", "") in self.faults else 0  # known to be stuck: one more try
-        if self.offs >= MOST_OFFS and self._gives_up(reading, wanted):
-            return False
-        self.told = wanted
-        try:
-            self.plug.set(wanted)
-        except PlugError as error:
-            self.switch.failed(now)
-            self._fault("plug_refuses", str(error))
-            self.offs += int(stays_on and isinstance(error, PlugRefused))  # else it may not have heard
-            if self.offs >= MOST_OFFS:
-                self._gives_up(reading, wanted)
-            return False
-        self.switch.succeeded()
-        self._clear("plug_refuses")
-        self.offs += int(stays_on)
-        if self.offs > 1:
-            self.switch.failed(now)
-        return self._remember(now, action)
-
-    def _stays_on(self, reading: Reading | None, wanted: Wanted) -> bool:
-        """Whether power may flow, or does, though it should not; that it no longer does ends the fault."""
-        if reading is None:
-            return False
-        leak, unmetered = self.memory.flow.leak, reading.power_kw is None and reading.energy_kwh is not None
-        if not (reading.on or leak or unmetered):
-            self.offs = 0
-            self._clear("relay_stuck")
-        return not is_on(wanted) and (reading.on or flow.leaks(leak))
-
-    def _gives_up(self, reading: Reading | None, wanted: Wanted) -> bool:
-        """Says that the relay is stuck. Whether to say no more to it: a charger wants its word all the same."""
-        leak = self.memory.flow.leak
-        text = f"the plug stays on though it was told off {MOST_OFFS} times"
-        if leak is not None and reading is not None and not reading.on:
-            text = f"{leak.power_kw:.1f} kW flows though the relay was told off {MOST_OFFS} times and says that it is"
-        self._fault("relay_stuck", text)
-        self._clear("plug_refuses")
-        return isinstance(wanted, Relay)
-
-    def _remember(self, now: datetime, action: Action) -> bool:
-        """Whether the relay has moved; if so, for the dwell times and the switch budget."""
-        if self.memory.relay_on is action.on:
-            return False
-        anew = replace(self.memory.flow, idle_since=None, flowed=False)  # whatever flowed, did so before
-        self.memory = replace(self.memory, relay_on=action.on, relay_since=now, flow=anew)
-        self._count(now, action)
-        return True
-
-    def _count(self, now: datetime, action: Action) -> None:
-        """A switch-on by the plan is on its budget; one that ends the waking of a car is not."""
-        if action.on and action.cause is By.PLAN and self.memory.flow.wake_until is None:
-            self.memory = replace(self.memory, switch_ons=(*self.memory.switch_ons, now))
-
-    def _tend(self, now: datetime) -> None:
-        try:
-            self.plug.tend(now)
-        except PlugError as error:
-            self._fault("plug_silent", str(error))
-
     # -- telling ----------------------------------------------------------------------------------
 
     def _publish(self, now: datetime, reading: Reading | None) -> None:
@@ -373,20 +273,14 @@ class Cycle:
         try:
             answer = act()
         except StoreError as error:
-            self._fault("store", str(error), what)
+            self.faults.stand("store", str(error), what)
             return otherwise
-        self._clear("store", what)
+        self.faults.end("store", what)
         return answer
-
-    def _fault(self, code: str, text: str, what: str = "") -> None:
-        self.faults[code, what] = Fault(code, text)
-
-    def _clear(self, code: str, what: str = "") -> None:
-        self.faults.pop((code, what), None)
 
     def _next(self, now: datetime, action: Action) -> datetime:
         moments = [next_slot(now), action.until, None if isinstance(self.plug, Tended) else self.plug.due()]
-        moments += [self.fetch.at, self.switch.at, *(errand.at for errand in self.errands)]
+        moments += [self.fetch.at, self.actuator.retry.at, *(errand.at for errand in self.errands)]
         return min(m for m in moments if m is not None and m > now)
 
 

@@ -143,7 +143,7 @@ def test_a_charger_held_on_by_the_guard_is_on_without_a_gap() -> None:
     made.happens = watch
     while made.at < EVENING + timedelta(hours=2):
         cycle.rest(cycle.step(), Quiet(), lambda: False)
-    assert isinstance(cycle.told, Setpoint)
-    assert cycle.told.power_kw == CHARGER.power_max_kw
+    assert isinstance(cycle.actuator.told, Setpoint)
+    assert cycle.actuator.told.power_kw == CHARGER.power_max_kw
     assert not offs
     made.bus.shutdown()

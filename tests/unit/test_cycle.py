@@ -6,7 +6,8 @@ from itertools import pairwise
 
 import pytest
 
-from plugd.cycle import FETCH_RETRY_S, PLUG_RETRY_S
+from plugd.actuator import RETRY_S
+from plugd.cycle import FETCH_RETRY_S
 from plugd.domain import (
     Command,
     Intensity,
@@ -268,7 +269,7 @@ def test_a_plug_that_does_not_switch_is_told_again_and_again(error: PlugTimeout 
     house.plug.refuses = error
     house.run(at(2, 10, day=3))
     pauses = seconds(house.plug.tries)
-    assert pauses[:3] == list(PLUG_RETRY_S) == [5.0, 15.0, 60.0]
+    assert pauses[:3] == list(RETRY_S) == [5.0, 15.0, 60.0]
     assert set(pauses[3:]) == {60.0}
     assert house.faults() == {"plug_refuses": str(error)}
     assert house.hub.decision
@@ -431,7 +432,7 @@ def test_a_relay_that_was_on_all_along_is_not_counted_again() -> None:
     house.step()
     house.plug.silent = house.plug.refuses = PlugTimeout("no answer")
     house.plug.came_back = True
-    house.cycle.told = None
+    house.cycle.actuator.told = None
     house.step(at(2, 1, day=3))
     house.plug.silent = None
     house.step(at(2, 1, day=3, second=3))
