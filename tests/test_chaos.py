@@ -84,6 +84,8 @@ class Events(RuleBasedStateMachine):
     def begin(self, seed: int) -> None:
         self.night = Night(seed)
         self.night.at(self.night.arrival, self.night._arrive)
+        # A plug that plugd never reached has no timer running, and nobody to switch it on.
+        self.night.live(self.night.clock.at + timedelta(minutes=1))
         self.by_person = False
         self.faulty = False
 

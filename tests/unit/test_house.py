@@ -211,7 +211,7 @@ SINGLE = (
 )
 CORE = (
     *("reasons", "commands", "command_words", "perception", "beat", "flow", "ledger", "remedies", "score", "charts"),
-    *("habits", "past", "plausible", "retry", "scoring"),
+    *("habits", "past", "plausible", "retry", "scoring", "contest", "safe_mode", "wall"),
 )
 PACKAGED = "config.loading", "adapters.store", "planner.qp", "planner.exact", "study.world"
 MODULES = ("__main__", *SINGLE, *CORE, *PACKAGED, "domain", "units", "errors")
