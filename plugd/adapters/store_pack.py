@@ -2,10 +2,12 @@
 
 import json
 import zlib
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from itertools import accumulate, pairwise
+from operator import add
 
 from plugd.domain import Forecast, Intensity
+from plugd.units import HALF_HOUR
 
 
 def pack(forecast: Forecast) -> bytes:
@@ -38,5 +40,9 @@ def _columns(values: tuple[Intensity, ...]) -> tuple[list[float], list[float]]:
 
 
 def _intensities(steps: list[float], values: list[float]) -> tuple[Intensity, ...]:
-    times = (datetime.fromtimestamp(epoch_s, UTC) for epoch_s in accumulate(steps))
+    if not steps:
+        return ()
+    # Thousands are unpacked at a start: the next half hour is found far sooner than a moment from its seconds.
+    apart = (HALF_HOUR if step == 1800.0 else timedelta(seconds=step) for step in steps[1:])
+    times = accumulate(apart, add, initial=datetime.fromtimestamp(steps[0], UTC))
     return tuple(Intensity(start, value) for start, value in zip(times, values, strict=True))

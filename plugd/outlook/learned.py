@@ -45,7 +45,7 @@ PRIOR_SD = (0.10, 0.14, 0.19, 0.24, 0.28)
 """Share of the usual day that is the standard deviation in each stretch, without evidence."""
 PRIOR_SD_DAYS = 2.0
 TAIL_H = 24.0
-"""Beyond a forecast's end its deviation from the usual day falls to 1/e in this time."""
+"""Beyond a forecast's end its deviation from the usual day falls to 1/e in this time. Measured: docs/outlook.md."""
 MOST_OFF = 6.0
 """A measured value as many times the dirtiest usual half hour is an error, not weather."""
 
@@ -118,9 +118,9 @@ class Learned:
         """With what became known by `now`. Both sorted; what was known before may be among them."""
         at = at_of(now)
         found = self.aged(at // DAY).with_measured(at, actuals)
-        for forecast in forecasts:
-            if found.issued_at is None or forecast.issued_at > found.issued_at:
-                found = found.with_forecast(at, forecast)
+        newer = [f for f in forecasts if found.issued_at is None or f.issued_at > found.issued_at]
+        if newer:
+            found = found.with_forecasts(at, newer)
         if found.said and (not found.sights or at // EVERY > found.sights[-1].first // EVERY):
             found = replace(found, sights=(*found.sights, found.sight(at, AHEAD)))
         return found
@@ -243,16 +243,18 @@ class Learned:
             sights=tuple(sight for sight in self.sights if sight.first + AHEAD > last + 1),
         )
 
-    def with_forecast(self, at: int, forecast: Forecast) -> "Learned":
-        """With a newer forecast. Older ones still count for what it leaves out."""
-        issued = at_of(forecast.issued_at)
-        newest = {row.at: row for row in self.said if row.at >= at - SPAN}
-        for row in forecast.expected:
-            start = at_of(row.start)
-            days_ahead = min(max(0, start - issued) // DAY, LEAD_DAYS - 1)
-            newest[start] = Said(start, row.g_per_kwh, days_ahead)
-        rows = tuple(newest[start] for start in sorted(newest))
-        return replace(self, said=rows, issued_at=forecast.issued_at)
+    def with_forecasts(self, at: int, forecasts: Sequence[Forecast]) -> "Learned":
+        """With newer forecasts, sorted. Older ones still count for what the newest leave out."""
+        told: dict[int, Said] = {}
+        for forecast in reversed(forecasts):  # after a start there are many, most of whose rows never come to count
+            issued = at_of(forecast.issued_at)
+            for row in forecast.expected:
+                start = at_of(row.start)
+                if start not in told:
+                    days_ahead = min(max(0, start - issued) // DAY, LEAD_DAYS - 1)
+                    told[start] = Said(start, row.g_per_kwh, days_ahead)
+        known = {row.at: row for row in self.said if row.at >= at - SPAN} | told
+        return replace(self, said=tuple(known[start] for start in sorted(known)), issued_at=forecasts[-1].issued_at)
 
 
 def replayed(issued: Sequence[Forecast], actuals: Sequence[Intensity], now: datetime) -> Learned:

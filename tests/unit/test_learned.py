@@ -118,6 +118,18 @@ def test_a_measured_value_of_another_order_of_magnitude_is_left_out() -> None:
     assert Learned().advanced(NOW, (), wrong).recent == learned.recent[:-1]
 
 
+def test_many_forecasts_at_once_are_those_one_after_the_other() -> None:
+    whole, next_one = issued(0), issued(1)
+    holed = replace(next_one, expected=(*next_one.expected[:10], *next_one.expected[20:60]))
+    at = (START - datetime(1970, 1, 1, tzinfo=UTC)) // HALF_HOUR
+    apart = Learned().with_forecasts(at, (whole,)).with_forecasts(at, (holed,))
+    assert Learned().with_forecasts(at, (whole, holed)) == apart
+    says = {row.at: row.g_per_kwh for row in apart.said}
+    assert says[at + 48 + 15] == whole.expected[48 + 15].g_per_kwh
+    assert says[at + 48 + 20] == next_one.expected[20].g_per_kwh
+    assert says[at + 48 + 60] == whole.expected[48 + 60].g_per_kwh
+
+
 def test_it_says_when_the_past_has_grown() -> None:
     known = ACTUALS[48 : 48 * DAYS]
     learned = Learned().advanced(NOW, (), known)
