@@ -136,8 +136,8 @@ def _planned(now: datetime, action: Action, memory: Memory, household: Household
     if action.on:
         stop = memory.orders.next(now, False) if isinstance(memory.orders, Switching) else None
         until = f" until {_clock(stop, household)}" if stop else ""
-        if tonight.energy_kwh <= PLANNED_KWH:
-            return Status.CHARGING, f"On{until}: nothing more is planned, but a relay stays on a while."
+        if not any(slot.start <= now < slot.end and slot.power_kw > 0.0 for slot in tonight.slots):
+            return Status.CHARGING, f"On{until}: a relay stays on for a while once it is on.{short}"
         return Status.CHARGING, f"Charging{until} at {grams}, among the cleanest hours of {nights}.{short}"
     if tonight.energy_kwh > PLANNED_KWH:
         start = _starts(now, tonight, memory)

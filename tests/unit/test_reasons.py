@@ -6,6 +6,7 @@ from datetime import UTC, datetime, timedelta
 import pytest
 
 from plugd import beat, soc
+from plugd.adapters.hub import state
 from plugd.domain import (
     Fault,
     Household,
@@ -17,6 +18,8 @@ from plugd.domain import (
     Plan,
     Presence,
     Press,
+    SessionPlan,
+    SetSoc,
     SlotSource,
     Status,
     Switching,
@@ -28,6 +31,7 @@ from tests.unit.deciding import (
     HOME,
     NIGHT,
     READY_BY,
+    Room,
     at,
     knows,
     minutes,
@@ -235,12 +239,31 @@ def test_a_soc_that_nobody_ever_told_is_said_where_it_makes_the_car_charge() -> 
     assert "Nobody" not in say(replace(never, soc=soc.told(never.soc, 0.15, NIGHT, "hub")))[1]
 
 
-def test_a_relay_that_only_serves_its_time_says_so() -> None:
-    waiting = remembering(
-        0.7, plan(IDLE, planned(TUESDAY)), switching((NIGHT - minutes(5), True), (NIGHT + minutes(10), False))
-    )
+@pytest.mark.parametrize("coming", [IDLE, CHARGES], ids=["nothing planned", "planned for later"])
+def test_a_relay_that_only_serves_its_time_says_so(coming: SessionPlan) -> None:
+    """And not that it charges among the cleanest hours: what is planned is for other hours."""
+    serving = switching((NIGHT - minutes(5), True), (NIGHT + minutes(10), False))
+    waiting = remembering(0.7, plan(coming, planned(TUESDAY)), serving)
     status, sentence = say(waiting)
     assert (status, sentence) == (
         Status.CHARGING,
-        "On until 23:10: nothing more is planned, but a relay stays on a while.",
+        "On until 23:10: a relay stays on for a while once it is on.",
     )
+
+
+def test_after_the_guard_the_relay_serves_its_time_and_its_end_is_the_next_stop() -> None:
+    """Late on an unknown SOC; three minutes later the car is told to be full enough."""
+    room = Room(at(8, 6, day=3), replace(knows(0.45, at(21)), presence=Presence(True, at(21))))
+    room.step()
+    late = room.hub.decision
+    assert late is not None
+    assert late.reason.startswith("Late")
+    room.hub.said.append(SetSoc(0.65))
+    room.step(at(8, 9, day=3))
+    ended = room.hub.decision
+    assert ended is not None
+    stop = at(8, 6, day=3) + timedelta(seconds=HOME.relay.min_on_s)
+    assert ended.reason == f"On until {stop:%H:%M}: a relay stays on for a while once it is on."
+    assert ended.memory.plan
+    assert ended.memory.plan.sessions[0].energy_kwh > 1.0, "there is something to be mistaken for what flows now"
+    assert state(ended, None, HOME)["next_stop"] == f"{stop:%Y-%m-%dT%H:%M:%SZ}"
