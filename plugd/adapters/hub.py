@@ -249,7 +249,9 @@ def state(decision: Decision, reading: Reading | None, household: Household) -> 
     outranked = decision.status in (Status.OFF, Status.DISCONNECTED, Status.BOOSTING)
     orders = memory.orders if isinstance(memory.orders, Switching) and not outranked else None
     start = orders.next(now, True) if orders else None
-    stop = orders.next(now, False) if orders else None
+    # A guard that holds in a morning that is over, or before the next night, ends by the need, not by the plan's stop.
+    held = memory.guarding and tonight is not None and now < tonight.session.start
+    stop = orders.next(now, False) if orders and not held else None
     ends = [slot.end for slot in (tonight.slots if tonight else ()) if slot.power_kw > 0.01 and slot.end > now]
     told_at = memory.soc.told_at
     power_kw = _power_kw(reading)

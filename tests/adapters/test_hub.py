@@ -42,6 +42,7 @@ from plugd.domain import (
     SetSoc,
     SetTrip,
     SetWeek,
+    Switching,
     Trip,
 )
 from plugd.planner.exact import Exact
@@ -510,6 +511,19 @@ def test_switch_ons_are_todays_by_the_local_calendar() -> None:
 def test_no_start_is_announced_that_will_not_be(memory: Memory) -> None:
     told = state(decided(memory), None, HOME)
     assert (told["next_start"], told["next_stop"]) == (None, None)
+
+
+def test_while_the_guard_is_late_no_stop_of_the_coming_nights_is_announced() -> None:
+    here = Presence(True, NIGHT)
+    late = Controller(HOME, Exact()).tick(
+        at(8, day=3), Observation(forecast=forecast(at(8, day=3))), replace(knows(0.45, at(21)), presence=here)
+    )
+    assert late.reason.startswith("Late")
+    assert isinstance(late.memory.orders, Switching)
+    assert late.memory.orders.next(late.at, False), "the plan has a stop of its own"
+    told = state(late, None, HOME)
+    assert told["next_stop"] is None
+    assert told["next_start"] is not None
 
 
 def test_the_plan_lists_the_slots_with_power() -> None:
