@@ -23,7 +23,8 @@ FLAGS = (
     *("--disable-background-networking", "--disable-component-update", "--disable-sync", "--hide-scrollbars"),
 )
 PATIENCE_S = 20.0
-PHONE = (390, 844)
+PHONES = ((390, 844), (320, 568))
+"""A usual one, and the narrowest that people still have (or a wide one at four times the letters)."""
 
 
 @pytest.fixture(scope="module")
@@ -232,16 +233,19 @@ def test_a_token_that_no_header_carries_is_refused_in_words(sight: Sight) -> Non
     sight.says("#answer", "not a token this page can send")
 
 
-def test_it_fits_a_phone(sight: Sight) -> None:
+@pytest.mark.parametrize("phone", PHONES, ids=lambda size: f"{size[0]} px")
+def test_it_fits_a_phone(sight: Sight, phone: tuple[int, int]) -> None:
     sight.browser.execute_cdp_cmd(
         "Emulation.setDeviceMetricsOverride",
-        {"width": PHONE[0], "height": PHONE[1], "deviceScaleFactor": 2, "mobile": True},
+        {"width": phone[0], "height": phone[1], "deviceScaleFactor": 2, "mobile": True},
     )
     try:
         sight.browser.get(f"http://{sight.served.host}/")
         sight.one("#more summary").click()
         width = sight.browser.execute_script("return document.documentElement.scrollWidth")
-        assert width <= PHONE[0]
+        assert width <= phone[0]
+        for field in sight.browser.find_elements(By.CSS_SELECTOR, ".week input"):
+            assert 0 <= field.location["x"] <= phone[0] - field.size["width"], field.get_attribute("id")
         assert sight.one("#drawing svg.narrow").is_displayed()
         assert not sight.one("#drawing svg.wide").is_displayed()
         for button in sight.browser.find_elements(By.CSS_SELECTOR, "[data-command=mode]"):
