@@ -171,7 +171,7 @@ def _clear_trip(command: ClearTrip, memory: Memory, household: Household, now: d
 
 def _horizon(command: SetHorizon, memory: Memory, household: Household, now: datetime) -> Outcome:
     memory = replace(memory, overrides=replace(memory.overrides, horizon=command.sessions))
-    return memory, Answer("horizon", True, f"{command.sessions} sessions are planned together")
+    return memory, Answer("horizon", True, f"{command.sessions} nights are planned together")
 
 
 def plugged_in(memory: Memory, now: datetime) -> Memory:

@@ -55,7 +55,7 @@ def meaning(mode: Mode, presence: Presence = UNTOLD, press: Press | None = None)
         (SetMinimum(0.7), {"overrides": Overrides(minimum=0.7)}, "every morning has at least 70 %"),
         (SetReadyBy(time(7, 30)), {"overrides": Overrides(ready_by=time(7, 30))}, "ready by 07:30"),
         (SetReadyBy(None), {"overrides": Overrides()}, "ready by the configured time"),
-        (SetHorizon(3), {"overrides": Overrides(horizon=3)}, "3 sessions are planned together"),
+        (SetHorizon(3), {"overrides": Overrides(horizon=3)}, "3 nights are planned together"),
         (SetConnected(True), {"presence": Presence(True, NIGHT)}, "the car is here"),
         (SetConnected(False), {"presence": Presence(False, NIGHT)}, "the car is not here"),
         (Replan(), {}, "planned anew"),

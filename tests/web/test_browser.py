@@ -190,7 +190,7 @@ def test_what_is_rarely_used_is_folded_and_works(sight: Sight) -> None:
     sight.one("#more summary").click()
     sight.type("#horizon", "2")
     sight.one("#horizon").send_keys(Keys.ENTER)
-    sight.says("#answer", "2 sessions are planned together")
+    sight.says("#answer", "2 nights are planned together")
     for word, there in (("ON", True), ("OFF", False)):
         sight.one(f"[data-command=connected][data-value={word}]").click()
         sight.says("#answer", "the car is here" if there else "the car is not here")
