@@ -12,7 +12,7 @@ from plugd.domain import Fault
 from plugd.remedies import KNOWN
 
 ROOT = Path(__file__).resolve().parents[2]
-PASSED_ON = {("plugd/cycle.py", "code"), ("plugd/adapters/can_elcon.py", "STOPPED_BY[bit]")}
+PASSED_ON = {("plugd/register.py", "code"), ("plugd/adapters/can_elcon.py", "STOPPED_BY[bit]")}
 """Where a fault's code is not written down, but comes from a call or a table that is looked at as well."""
 IMPERATIVES = (
     "Clear", "Find", "Give", "Have", "Look", "Nothing", "Set", "Stop", "Take", "To stop", "Unplug", "Update",
@@ -25,7 +25,7 @@ def calls() -> Iterator[tuple[str, ast.expr]]:
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.Call) and node.args:
                 name = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
-                if name == "Fault" or (name == "_fault" and len(node.args) > 1):
+                if name == "Fault" or (name == "stand" and len(node.args) > 1):
                     yield str(path.relative_to(ROOT)), node.args[0]
 
 
