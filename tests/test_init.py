@@ -497,8 +497,12 @@ class Seat:
         os.write(self._ours, f"{text}\r".encode())
 
     def press(self, key: bytes) -> None:
-        """One key."""
-        os.write(self._ours, key)
+        """One key that ends it: again where it came between the prompt and the reading of keys, and was lost."""
+        for _ in range(int(PATIENCE_S)):
+            os.write(self._ours, key)
+            with suppress(subprocess.TimeoutExpired):
+                self.process.wait(1.0)
+                return
 
     def ends(self) -> tuple[int, str]:
         """Its status, and all that was seen."""

@@ -141,7 +141,7 @@ def test_the_relay_keeps_its_dwell_times() -> None:
         if (house.plug.offered_kw > 0) is not was:
             moves.append((house.clock.now(), not was))
 
-    house.cycle.plug = Watching(house, watched)
+    house.cycle.plug = house.cycle.actuator.plug = Watching(house, watched)
     house.run(START + timedelta(days=21))
     assert len(moves) > 20
     for (at, on), (after, _) in pairwise(moves):
@@ -173,6 +173,7 @@ def test_a_restart_in_the_night_changes_nothing() -> None:
             again.cycle.memory = house.cycle.memory
             for name in ("clock", "source", "plug", "hub", "store", "controller"):
                 setattr(again.cycle, name, getattr(house.cycle, name))
+            again.cycle.actuator.plug = house.cycle.plug
             again.cycle.forecast = house.cycle.forecast
             house.cycle = again.cycle
         house.run(START + timedelta(days=3))

@@ -42,7 +42,8 @@ class Welded(Box):
 def welded(says_off: bool, answers: bool = True, soc: float = 0.3) -> Room:
     """It welds while the car charges, and a person switches off."""
     house = Room(at(4, 40, day=3), knows(soc, at(4, 40, day=3)), HOME)
-    house.plug = house.cycle.plug = plug = Welded(house.clock, says_off=says_off, answers=answers)
+    plug = Welded(house.clock, says_off=says_off, answers=answers)
+    house.plug = house.cycle.plug = house.cycle.actuator.plug = plug
     house.step()
     assert plug.told == [Relay(True)]
     house.hub.said.append(SetMode(Mode.OFF))
@@ -118,7 +119,7 @@ def test_a_persons_word_and_a_plug_that_was_away_are_worth_one_more_try() -> Non
 def test_that_the_last_safe_start_moves_is_no_reason_to_try_again() -> None:
     """An off goes with the time by which its timer has to be over, which moves while the car charges."""
     house = Room(NIGHT, knows(0.45, NIGHT), replace(HOME, capability=Capability(2.3, dead_man=True)))
-    house.plug = house.cycle.plug = Welded(house.clock, stuck=True)
+    house.plug = house.cycle.plug = house.cycle.actuator.plug = Welded(house.clock, stuck=True)
     every_ten_seconds(house, timedelta(hours=1))  # by the plan it is off from 23:42 to 2 o'clock
     assert house.plug.told == [OFF, OFF, OFF]
     told = house.plug.told[-1]
