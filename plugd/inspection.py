@@ -17,6 +17,7 @@ from plugd.controller import Controller
 from plugd.domain import Decision, Fault, Forecast, Intensity, Observation, Reading, Relay, Setpoint
 from plugd.errors import ForecastError, PlugdError, PlugRefused, PlugTimeout, StoreError, UsageError
 from plugd.explanation import Names, dated
+from plugd.outlook import Learned, replayed
 from plugd.past import HISTORY
 from plugd.planner.marginal import Explanation, explain
 from plugd.planner.nights import layout
@@ -159,12 +160,14 @@ def decision_now(config: Config, solver: Solver | None = None) -> Decision:
     memory = perception.fresh(now)
     forecast: Forecast | None = None
     history: tuple[Intensity, ...] = ()
+    learned = Learned()
     folder = readable(daemon.state_folder(config))
     if folder is not None:
         with SqliteStore(folder, hold=False) as store:
             memory = store.load() or memory
             forecast = daemon.kept_forecast(store, config)
             history = store.history(now - HISTORY)
+            learned = replayed(tuple(store.issued(now - HISTORY)), history, now)
     faults: tuple[Fault, ...] = ()
     if forecast is None or slot_start(forecast.issued_at) != slot_start(now):
         try:
@@ -172,7 +175,7 @@ def decision_now(config: Config, solver: Solver | None = None) -> Decision:
         except ForecastError as error:
             faults = (Fault("forecast", f"no new forecast: {error}"),)
     seen = Observation(forecast=forecast, history=history, faults=faults)
-    return Controller(home, solver or Qp()).tick(now, seen, memory)
+    return Controller(home, solver or Qp()).tick(now, seen, memory, learned)
 
 
 def readable(folder: Path) -> Path | None:

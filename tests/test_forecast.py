@@ -77,6 +77,15 @@ def test_each_slot_has_its_number_its_spread_and_its_source_and_nights_are_marke
     assert found["faults"] == []
 
 
+def test_with_a_history_it_is_corrected_as_the_daemon_does(config: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with SqliteStore(config.parent / "state") as store:
+        store.keep(Forecast(utc_now() - timedelta(hours=1), "national", ()))
+        store.keep_past("national", past_of(150.0))
+    found = told(config, capsys)
+    assert found["history_half_hours"] > 50 * 48
+    assert {slot["source"] for slot in found["slots"]} == {"corrected", "tail"}
+
+
 def test_the_drawing_says_the_same(config: Path, capsys: pytest.CaptureFixture[str]) -> None:
     told_lines = drawn(config, capsys)
     assert told_lines[0].startswith("NESO's forecast for the nation of ")
