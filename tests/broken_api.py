@@ -17,6 +17,7 @@ from plugd import series
 from plugd.adapters.neso_body import NATIONAL, parse, parse_past
 from plugd.domain import Forecast, Household, Intensity, Nights, PastRow, RelayRules
 from plugd.errors import ForecastUnavailable
+from plugd.outlook import Learned
 from plugd.past import HISTORY, CatchUp
 from plugd.planner.exact import Exact
 from plugd.series import IntensitySeries
@@ -120,7 +121,7 @@ def lived(
 ) -> Outcome:
     """The weeks in the house, with eight weeks of history behind it."""
     stays = Driver().stays(start)
-    house = House(household, Exact(), source, stays, start)
+    house = House(household, Exact(), source, stays, start, learned=Learned())
     house.store.keep_past(NATIONAL, _before(grid, start))
     if isinstance(source, Api):
         house.cycle.errands = (CatchUp(source, house.store, lambda: 0.0),)

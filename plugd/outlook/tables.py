@@ -3,9 +3,11 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from functools import lru_cache
 
 from plugd.domain import Series
 from plugd.outlook.typical import typical_g_per_kwh
+from plugd.units import HALF_HOUR
 
 DAY = 48
 """Half hours. Times are counted in half hours of UTC since 1970, so that `at % DAY` is the time of day."""
@@ -53,8 +55,7 @@ def trust(profile: Means) -> float:
 
 def usual_day(profile: Means, at: int) -> Series:
     """The usual day around half hour `at`, g/kWh (48,): own means, leaning on the built-in day while they are thin."""
-    month = datetime.fromtimestamp(at * 1800, UTC)
-    built_in = [typical_g_per_kwh(month.replace(hour=k // 2, minute=30 * (k % 2))) for k in range(DAY)]
+    built_in = _typical_day(at // DAY)
     at_first = TYPICAL_DAYS * sum(built_in)
     seen = sum(w * g for w, g in zip(profile.weights, built_in, strict=True))
     level = (sum(profile.sums) + at_first) / (seen + at_first)
@@ -63,6 +64,13 @@ def usual_day(profile: Means, at: int) -> Series:
         (s + prior * level * g) / (w + prior)
         for s, w, g, prior in zip(profile.sums, profile.weights, built_in, priors, strict=True)
     )
+
+
+@lru_cache(maxsize=8)
+def _typical_day(day: int) -> Series:
+    """The built-in day, g/kWh (48,), on a day counted from 1970."""
+    midnight = datetime.fromtimestamp(day * 86400, UTC)
+    return tuple(typical_g_per_kwh(midnight + k * HALF_HOUR) for k in range(DAY))
 
 
 def biases(found: Means) -> Series:

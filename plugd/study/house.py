@@ -28,6 +28,7 @@ from plugd.domain import (
     SetSoc,
     Wanted,
 )
+from plugd.outlook import Learned
 from plugd.planner.problem import Solver
 from plugd.ports import ForecastSource, Inbox
 from plugd.study.world import Battery, Morning, Stay
@@ -223,6 +224,8 @@ class House:
     battery: Battery = field(default_factory=Battery)
     tells_soc: bool = True
     tells_presence: bool = False
+    learned: Learned | None = None
+    """What the cycle begins with, as the daemon does; None: forecasts are taken as they are."""
     clock: SimClock = field(init=False)
     plug: SimPlug = field(init=False)
     hub: SimHub = field(default_factory=SimHub)
@@ -248,6 +251,7 @@ class House:
             controller=Controller(self.household, self.solver),
             memory=perception.fresh(self.start),
             spread=lambda: 0.0,
+            learned=self.learned,
         )
         self.coming = next((s for s in self.stays if s.arrival >= self.start), None)
 

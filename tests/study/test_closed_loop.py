@@ -11,6 +11,7 @@ from hypothesis import Phase, assume, given, settings
 from hypothesis import strategies as st
 
 from plugd.domain import Capability, Car, Household, Nights, RelayRules
+from plugd.outlook import Learned
 from plugd.planner.exact import Exact
 from plugd.planner.problem import Problem, Solution
 from plugd.planner.qp import Qp
@@ -41,6 +42,7 @@ forecasts = st.lists(st.none() | st.floats(0, 1000), min_size=1, max_size=48)
 drivers = st.lists(st.tuples(st.floats(0, 3), st.floats(0, 3), st.floats(0, 12)), min_size=3, max_size=3)
 
 
+@pytest.mark.timeout(600)
 @settings(max_examples=40, deadline=None, phases=(Phase.explicit, Phase.generate))  # shrinking takes minutes
 @given(
     values=forecasts,
@@ -79,7 +81,7 @@ def test_every_reachable_morning_is_met_for_any_forecast(
     )
     house = House(
         household, Exact(), FunctionSource(anything, issued_slots), nights_of(*stays), START,
-        Battery(energy_kwh=50 * soc), tells_soc=tells,
+        Battery(energy_kwh=50 * soc), tells_soc=tells, learned=Learned(),
     )  # fmt: skip
     house.run(START + timedelta(days=3))
     assert len(house.mornings) == 3
@@ -107,14 +109,14 @@ def test_the_plan_never_asks_for_more_than_the_plug_gives() -> None:
             assert all(-1e-9 <= p <= most + 1e-9 for p, most in zip(power_kw, session.power_max_kw, strict=True))
 
 
-@pytest.mark.timeout(300)
+@pytest.mark.timeout(600)
 def test_in_a_healthy_year_the_guard_never_fires_and_no_morning_is_missed() -> None:
     """The paper's driver and a 2.3 kW plug; healthy is a night with the car there from plug-in to session end."""
     begin = datetime(2023, 1, 1, 12, tzinfo=UTC)
     household = Household(timezone="Europe/London")
     source = FunctionSource(lambda issued, slot: YEAR.actual_at(slot))
     stays = tuple(stay for stay, _ in zip(Driver().stays(begin), range(362), strict=False) if stay.arrival >= begin)
-    house = House(household, Qp(), source, iter(stays), begin)
+    house = House(household, Qp(), source, iter(stays), begin, learned=Learned())
     house.run(begin + timedelta(days=360))
     absent = [m for m in house.mornings if not m.here]
     assert len(house.mornings) == 360
