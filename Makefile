@@ -33,7 +33,7 @@ demo: $(READY) ## a week of charging, simulated, in about a minute
 	$(VENV)/bin/plugd demo $(ARGS)
 
 test: $(READY) ## every test this machine can run, on every core, and a list of what it could not
-	$(VENV)/bin/python -m pytest --numprocesses auto --dist loadfile $(ARGS)
+	$(VENV)/bin/python -m pytest --numprocesses auto --dist loadfile --no-loadscope-reorder $(ARGS)
 
 hub-test: $(READY) $(HASS) ## against a real Home Assistant, and Node-RED where it is installed; on loopback only
 	$(VENV)/bin/python -m tests.hub.home_assistant --hass "$(HASS)" $(ARGS)
