@@ -14,6 +14,8 @@ from plugd.errors import AlreadyRunning, StoreError
 FILE = "plugd.db"
 LOCK = "lock"
 BUSY_S = 5.0
+CACHE_KIB = 512
+"""Of pages in memory. SQLite's own 2 MB would fill over a month, and what is read is read once a half hour."""
 
 REMEDIES = {
     sqlite3.SQLITE_FULL: "the disk is full; make room",
@@ -89,6 +91,7 @@ class StoreFile:
         db = sqlite3.connect(self._target, timeout=BUSY_S, isolation_level=None, check_same_thread=False)
         try:
             db.execute("PRAGMA journal_mode = WAL")
+            db.execute(f"PRAGMA cache_size = -{CACHE_KIB}")
             found = [row[0] for row in db.execute("PRAGMA quick_check(1)")]
             if found != ["ok"]:
                 raise _Damaged(found[0])
