@@ -7,7 +7,8 @@ import subprocess
 import sys
 import threading
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import time
@@ -142,7 +143,10 @@ def test_every_key_of_the_file_has_a_reason_above_it_or_above_the_one_before(ini
     ("question", "wrong", "said", "right"),
     [
         ("Region", "18", "home.region_id = 18: must be at most 17", "17"),
-        ("Region", "somewhere", 'must be the first half of a postcode, like "SW1"', "RG10 9AB"),
+        ("Region", "somewhere", 'or the first half of a postcode, like "SW1"', "RG10 9AB"),
+        ("Region", "Lodnon", "did you mean London?", "London"),
+        ("Region", "north", "did you mean North Scotland or North West England or North East England or", "north wa"),
+        ("Region", "RG100", 'must be the first half of a postcode, like "SW1"', "RG10"),
         ("TLS", "perhaps", "y or n is wanted", "n"),
         ("Port", "99999", "broker.port = 99999: must be at most 65535", "1883"),
         ("Port", "mqtt", "a number is wanted", "1883"),
@@ -158,8 +162,8 @@ def test_every_key_of_the_file_has_a_reason_above_it_or_above_the_one_before(ini
         ("most", "0.8", "looks like a fraction; write percent: 80", "80"),
         ("most", "20", "must be more than car.soc_min_pct; raise it", "80"),
         ("least", "81", "is more than car.soc_max_pct; lower it", "80"),
-        ("plugged", "7pm", 'must be a clock time of 24 hours in quotes, like "07:30"', '"19:00"'),
-        ("plugged", "6pm", 'must be a clock time of 24 hours in quotes, like "07:30"', "18:00"),
+        ("plugged", "7pm", "a time of 24 hours is wanted, like 07:30\n", '"19:00"'),
+        ("plugged", "24:00", "a time of 24 hours is wanted, like 07:30\n", "18:00"),
         ("unplugged", "18:00", "is the same as nights.plug_in", "09:00"),
         ("Ready", "18:00", "is the same as nights.plug_in", "07:00"),
         ("Folder", "~nobody-of-this-name/x", "write the whole path", "/srv/x"),
@@ -187,6 +191,23 @@ def test_too_few_answers_are_one_line_and_nothing_is_written(init: Init, lines: 
     assert len(run.err.splitlines()) == 1
     assert "the answers ended before the questions; give one a line" in run.err
     assert init.left() == []
+
+
+@pytest.mark.parametrize(("line", "question"), [("y", "Region"), ("13", "Encrypted"), ("", "Its topic")])
+def test_answers_without_end_are_given_up_on(init: Init, line: str, question: str) -> None:
+    run = init(f"{line}\n" * 500)
+    assert run.status == 2
+    assert run.err.startswith(f"plugd: init: 20 answers to '{question}")
+    assert run.err.endswith("and none that can be taken; nothing was written\n")
+    assert len(run.err.splitlines()) == 1
+    assert init.left() == []
+
+
+def test_a_question_before_the_first_is_given_up_on_too(init: Init) -> None:
+    init.path.write_text("mine")
+    run = init("maybe\n" * 500)
+    assert (run.status, init.path.read_text()) == (2, "mine")
+    assert "20 answers to" in run.err
 
 
 def test_a_file_that_is_there_is_replaced_only_after_a_yes(init: Init) -> None:
@@ -248,6 +269,16 @@ def test_more_than_a_13_a_plug_bears_is_asked_about(init: Init) -> None:
     assert run.status == 0
     assert "3.6 kW is 15.7 A. A 13 A plug bears no more than 10.5 A all night" in run.out
     assert load(init.path).plug.max_current_a == 16
+
+
+def test_more_than_the_plug_would_let_flow_is_asked_about_again(init: Init) -> None:
+    run = init(answered(["7", "3.6", "16"], after="draws", draws="10"))
+    assert (run.status, run.err) == (0, "")
+    assert "plug.power_kw = 10: is 43.5 A at 230 V, and the plug is cut off above plug.max_current_a = 7" in run.out
+    plug = load(init.path).plug
+    assert (plug.power_kw, plug.max_current_a) == (3.6, 16)
+    assert init("y\n" + answered(["7", "1.5"], after="draws", draws="10")).status == 0
+    assert "max_current_a" not in init.path.read_text()
 
 
 def test_a_charger_has_a_current_and_one_on_can_a_battery_to_bear_it(init: Init) -> None:
@@ -340,12 +371,13 @@ STEADY = {
 
 @dataclass(slots=True)
 class Babbler:
-    """Somebody who answers anything, and comes to reason when asked for the third time in a row."""
+    """Somebody who answers anything, and comes to reason when asked a third time in a row, or a sixth."""
 
     data: st.DataObject
     present: bool
     said: list[str] = field(default_factory=list)
     _last: tuple[str, int] = ("", 0)
+    _asked: Counter[str] = field(default_factory=Counter)
 
     def say(self, text: str) -> None:
         self.said.append(text)
@@ -354,7 +386,8 @@ class Babbler:
         name, times = self._last
         self._last = prompt, times + 1 if prompt == name else 1
         assert self._last[1] < 5, f"{prompt!r} takes no answer: {self.said[-2:]}"
-        if self._last[1] > 2:
+        self._asked[prompt] += 1
+        if self._last[1] > 2 or self._asked[prompt] > 5:
             return next(text for start, text in STEADY.items() if prompt.startswith(start))
         return self.data.draw(LIKELY | st.text(st.characters(exclude_characters="\r\n"), max_size=12))
 
@@ -368,7 +401,7 @@ FOUND = st.builds(
 )
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=60)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60)
 @given(data=st.data(), present=st.booleans())
 def test_whatever_is_accepted_is_written_and_loads_as_it_was_meant(
     tmp_path: Path, data: st.DataObject, present: bool
@@ -388,7 +421,6 @@ def test_whatever_is_accepted_is_written_and_loads_as_it_was_meant(
     path.unlink()
 
 
-@settings(deadline=None)
 @given(lines=st.lists(LIKELY | st.text(max_size=12), max_size=14))
 def test_answers_that_end_too_early_never_make_a_file(lines: list[str]) -> None:
     class Lines:
@@ -448,6 +480,55 @@ def test_a_broker_is_looked_at_as_it_was_told(mosquitto: Mosquitto, monkeypatch:
     refused = look(Draft({**there, "broker.port": free_port()})).refusal
     assert refused is not None
     assert "refuses the connection" in refused
+
+
+class Thinks:
+    """Somebody whose broker lets nobody in at first; they answer what they are listed with, else Enter."""
+
+    present = True
+
+    def __init__(self, **answers: Sequence[str]) -> None:
+        self.answers = {start: iter(texts) for start, texts in answers.items()}
+        self.asked: list[str] = []
+
+    def say(self, text: str) -> None:
+        pass
+
+    def ask(self, prompt: str) -> str:
+        self.asked.append(prompt)
+        return next((next(texts, "") for start, texts in self.answers.items() if prompt.startswith(start)), "")
+
+    ask_secret = ask
+
+
+def refused_once() -> Callable[[Draft], Found]:
+    said = iter([Found(refusal="it refuses the password")])
+    return lambda _: next(said, Found())
+
+
+def test_who_thinks_again_is_offered_what_was_told_before(tmp_path: Path) -> None:
+    person = Thinks(Port=["1884"], User=["me"], Password=["hunter2"], Its=["ev-plug"])
+    draft = interview(person, tmp_path, STATE, refused_once())
+    assert [draft.answers[f"broker.{key}"] for key in ("port", "username")] == [1884, "me"]
+    assert draft.password == "hunter2"
+    assert [prompt for prompt in person.asked if prompt.startswith(("Port", "User", "Pass"))] == [
+        "Port [1883]: ", "User [Enter: it asks for none]: ", "Password of me [Enter: it needs none]: ",
+        "Port [1884]: ", "User [me]: ", "Password of me [Enter: as before]: ",
+    ]  # fmt: skip
+
+
+def test_who_thinks_again_may_take_it_back(tmp_path: Path) -> None:
+    """The usual port goes with the encryption; a dash is no user."""
+    person = Thinks(Encrypted=["n", "y"], User=["me", "-"], Password=["hunter2"], Its=["ev-plug"])
+    draft = interview(person, tmp_path, STATE, refused_once())
+    assert draft.answers["broker.port"] == 8883
+    assert not [key for key in draft.answers if key in ("broker.username", "broker.password_file")]
+    assert draft.password is None
+
+
+def test_another_users_password_is_not_the_first_ones(tmp_path: Path) -> None:
+    person = Thinks(User=["me", "you"], Password=["hunter2", ""], Its=["ev-plug"])
+    assert interview(person, tmp_path, STATE, refused_once()).password is None
 
 
 # -- at a terminal --------------------------------------------------------------------------------
@@ -537,7 +618,8 @@ def test_a_person_at_a_terminal_is_led_through(plugged: Mosquitto, tmp_path: Pat
         seat.until("[n]: ")
         seat.type("")
         seat.until("Port [1883]: ")
-        seat.type(str(free_port()))
+        closed = free_port()
+        seat.type(str(closed))
         seat.until("User ")
         seat.type("")
         assert "refuses the connection" in seat.until("Tell me about the broker again? [Y/n]: ")
@@ -546,7 +628,7 @@ def test_a_person_at_a_terminal_is_led_through(plugged: Mosquitto, tmp_path: Pat
         seat.type("")
         seat.until("[n]: ")
         seat.type("")
-        seat.until("Port [1883]: ")
+        seat.until(f"Port [{closed}]: ")
         seat.type(str(plugged.port))
         seat.until("User ")
         seat.type("me")

@@ -4,18 +4,21 @@ import argparse
 import io
 import os
 import sys
+from collections import Counter
 from getpass import getpass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from plugd.cli.parsing import DEFAULT_CONFIG, Commands, config_path
-from plugd.errors import PlugdError
+from plugd.errors import PlugdError, UsageError
 
 if TYPE_CHECKING:
     from plugd.first_run.interview import Draft, Found
 
 UNITS = tuple(Path(folder, "systemd/system/plugd.service") for folder in ("/usr/lib", "/etc"))
 """Where the service is, where there is one."""
+TRIES = 20
+"""How often lines on stdin, which may never end, are asked the same; a person may try for ever."""
 
 
 def add(commands: Commands) -> None:
@@ -28,6 +31,7 @@ class Terminal:
     """The person at stdin and stdout, or lines on stdin."""
 
     def __init__(self) -> None:
+        self._asked: Counter[str] = Counter()
         self.present = sys.stdin.isatty() and sys.stdout.isatty()
         if isinstance(sys.stdin, io.TextIOWrapper):
             sys.stdin.reconfigure(errors="surrogateescape")  # what is no UTF-8 is refused as any other answer
@@ -49,6 +53,11 @@ class Terminal:
     def _line(self, prompt: str, shown: bool) -> str:
         from plugd.config.complaint import one_line
 
+        self._asked[prompt] += 1
+        if self._asked[prompt] > TRIES:
+            raise UsageError(
+                f"init: {TRIES} answers to {prompt.rstrip(': ')!r} and none that can be taken; nothing was written"
+            )
         print(prompt, end="", flush=True)
         line = sys.stdin.readline()
         text = line.rstrip("\r\n")

@@ -11,8 +11,9 @@ from pydantic import ValidationError
 from plugd.config import Config
 from plugd.config.loading import complaints
 from plugd.config.values import PlugKind
+from plugd.config.values import clock as clock_time
 from plugd.config.whole import at
-from plugd.first_run.places import NATION, region_of
+from plugd.first_run.places import NATION, near, region_of
 
 Value = str | int | float | bool
 Answers = dict[str, Value]
@@ -28,6 +29,8 @@ KWH_PER_KM = 0.2
 """The paper takes 5 kWh for 25 km."""
 KM = {"km": 1.0, "kilometres": 1.0, "mi": 1.609344, "mile": 1.609344, "miles": 1.609344}
 DAYS_A_YEAR = 365.25
+NONE = "-"
+"""Takes back an answer that Enter would repeat."""
 LONGEST = 1e12
 """What is longer is no number of anything here."""
 USE_SPREAD = DEFAULTS.car.daily_use_sd_kwh / DEFAULTS.car.daily_use_kwh
@@ -43,13 +46,18 @@ def nested(answers: Answers) -> dict[str, dict[str, Value]]:
     return tables
 
 
+def configured(answers: Answers, folder: Path) -> Config:
+    """The configuration that the answers so far would be. Raises pydantic's ValidationError."""
+    return Config.model_validate(nested({"plug.topic": "to be asked", **answers}), context={"folder": folder})
+
+
 def refusal(answers: Answers, asked: tuple[str, ...], later: frozenset[str], folder: Path) -> str | None:
     """Why the configuration does not take the answer to the keys `asked`; None where it does.
 
     What is wrong with a key of `later` is not yet: that is still to be asked.
     """
     try:
-        Config.model_validate(nested({"plug.topic": "to be asked", **answers}), context={"folder": folder})
+        configured(answers, folder)
     except ValidationError as error:
         wrong = complaints(error)
         ours = [text for key, text in wrong if key in asked]
@@ -106,9 +114,23 @@ def word(key: str) -> Reader:
     return lambda text: {key: text}
 
 
+def unless_none(read: Reader) -> Reader:
+    """The same, and a dash for nothing."""
+    return lambda text: {} if text == NONE else read(text)
+
+
 def clock(key: str) -> Reader:
     """A clock time; the hour may be of one digit."""
-    return lambda text: {key: f"0{text}" if re.fullmatch(r"[0-9]:[0-9]{2}", text) else text}
+
+    def read(text: str) -> Answers:
+        whole = f"0{text}" if re.fullmatch(r"[0-9]:[0-9]{2}", text) else text
+        try:
+            clock_time(whole)
+        except ValueError:
+            raise ValueError("a time of 24 hours is wanted, like 07:30") from None  # quotes are for the file
+        return {key: whole}
+
+    return read
 
 
 def yes_no(key: str) -> Reader:
@@ -140,7 +162,13 @@ def place(text: str) -> Answers:
         return {}
     number, named = _number(text), region_of(text)
     region = named if number is None else number
-    return {"home.postcode": text.split(maxsplit=1)[0]} if region is None else {"home.region_id": region}
+    if region is not None:
+        return {"home.region_id": region}
+    if not any(letter.isdigit() for letter in text):  # so it is no postcode
+        meant = near(text)
+        guess = f"; did you mean {' or '.join(meant)}?" if meant else ""
+        raise ValueError(f'a region is wanted, its number, or the first half of a postcode, like "SW1"{guess}')
+    return {"home.postcode": text.split(maxsplit=1)[0]}
 
 
 def kind(text: str) -> Answers:

@@ -6,10 +6,11 @@ from itertools import chain
 from pathlib import Path
 from typing import Protocol
 
+from plugd.config import doubts
 from plugd.config.complaint import one_line
 from plugd.config.loading import secret
 from plugd.errors import ConfigError, UsageError
-from plugd.first_run.answers import Answers, refusal, written, yes_no
+from plugd.first_run.answers import Answers, configured, refusal, written, yes_no
 from plugd.first_run.questions import BROKER, CAR, CHARGING, PLACE, PLUG, Question, state
 
 PASSWORD_FILE = "mqtt_password"  # nosec B105 # its name, not what is in it
@@ -82,10 +83,10 @@ def confirmed(person: Person, question: str, default: bool) -> bool:
 
 
 def _asked(person: Person, folder: Path, state_folder: str, look: Look) -> Draft:
-    rest = (*CHARGING, *CAR, state(state_folder))
-    asking = Asking(person, folder, (*PLACE, *BROKER, *PLUG, *rest))
+    rest = (*CAR, state(state_folder))
+    asking = Asking(person, folder, (*PLACE, *BROKER, *PLUG, *CHARGING, *rest))
     draft, found = _broker(asking, asking.all(PLACE, {}), look)
-    return Draft(asking.all(rest, _plug(asking, draft.answers, found)), draft.password)
+    return Draft(asking.all(rest, _charging(asking, _plug(asking, draft.answers, found))), draft.password)
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,12 +152,10 @@ def _bare(line: str) -> str:
 
 def _broker(asking: Asking, answers: Answers, look: Look) -> tuple[Draft, Found]:
     """Where the broker is. A person may think again when it does not let us in."""
-    person = asking.person
+    person, draft = asking.person, Draft(answers)
     while True:
         answers = asking.all(BROKER, answers)
-        draft = Draft(answers)
-        if "broker.username" in answers:
-            draft = _with_password(asking, answers)
+        draft = _with_password(asking, answers, draft) if "broker.username" in answers else Draft(answers)
         if not person.present:
             return draft, Found()
         person.say("Looking at the broker ...")
@@ -168,13 +167,14 @@ def _broker(asking: Asking, answers: Answers, look: Look) -> tuple[Draft, Found]
             return draft, found
 
 
-def _with_password(asking: Asking, answers: Answers) -> Draft:
-    """The password of its user, which is kept in a file beside the configuration."""
-    path = asking.folder / PASSWORD_FILE
-    blank = f"the one in {path}" if path.exists() else "it needs none"
+def _with_password(asking: Asking, answers: Answers, before: Draft) -> Draft:
+    """The password of its user, which is kept in a file beside the configuration. `before`: what was told last time."""
+    path, name = asking.folder / PASSWORD_FILE, str(answers["broker.username"])
+    told = before.password if name == before.answers.get("broker.username") else None
+    blank = "as before" if told else f"the one in {path}" if path.exists() else "it needs none"
     others = {key: value for key, value in answers.items() if key != "broker.password_file"}
     while True:
-        text = asking.person.ask_secret(f"Password of {one_line(str(answers['broker.username']))} [Enter: {blank}]: ")
+        text = asking.person.ask_secret(f"Password of {one_line(name)} [Enter: {blank}]: ") or told
         if not text:
             return Draft({**others, "broker.password_file": str(path)} if path.exists() else others)
         try:
@@ -206,3 +206,17 @@ def _plug(asking: Asking, answers: Answers, found: Found) -> Answers:
         if text in numbered:
             return {**answers, **numbered[text]}
         person.say(f"  a number from 0 to {len(plugs)} is wanted")
+
+
+# -- what flows -----------------------------------------------------------------------------------
+
+
+def _charging(asking: Asking, answers: Answers) -> Answers:
+    """Power and current. Asked again where each is possible and the plug would cut the car off at once."""
+    while True:
+        answers = asking.all(CHARGING, answers)
+        doubted = doubts(configured(answers, asking.folder))
+        if not doubted:
+            return answers
+        for doubt in doubted:
+            asking.person.say(f"  {doubt}")

@@ -1,5 +1,6 @@
 """The regions that the forecast knows by number: the areas of the network operators, and three nations."""
 
+from difflib import get_close_matches
 from itertools import zip_longest
 
 REGIONS = {
@@ -25,6 +26,9 @@ REGIONS = {
 NATION = ("gb", "great britain", "britain", "nation", "national", "uk")
 LEAST_LETTERS = 4
 """Fewer may be a postcode."""
+LONGEST = 40
+"""No name is longer."""
+MOST_NEAR = 3
 
 
 def region_of(text: str) -> int | None:
@@ -34,6 +38,14 @@ def region_of(text: str) -> int | None:
     begun = [number for number, name in REGIONS.items() if name.casefold().startswith(word)]
     found = exact or (begun if len(word) >= LEAST_LETTERS else [])
     return found[0] if len(found) == 1 else None
+
+
+def near(text: str) -> tuple[str, ...]:
+    """The regions that may have been meant by a name that is none's, or that several begin with."""
+    word = text.casefold()
+    begun = [name for name in REGIONS.values() if name.casefold().startswith(word)]
+    close = get_close_matches(word[:LONGEST], [name.casefold() for name in REGIONS.values()], MOST_NEAR)
+    return tuple(begun or [name for name in REGIONS.values() if name.casefold() in close])
 
 
 def listed() -> str:

@@ -8,6 +8,7 @@ from plugd.config.whole import MODULATING
 from plugd.first_run.answers import (
     DEFAULTS,
     KINDS,
+    NONE,
     Answers,
     Reader,
     clock,
@@ -17,6 +18,7 @@ from plugd.first_run.answers import (
     kind,
     number,
     place,
+    unless_none,
     word,
     written,
     yes_no,
@@ -43,9 +45,14 @@ class Question:
     """What an empty line means where it has no default; "" is that an answer is needed."""
 
 
+def told(key: str) -> FromAnswers:
+    """The answer given before, if there is one."""
+    return lambda answers: written(answers.get(key))
+
+
 def offered(key: str) -> FromAnswers:
     """The answer given before, else the configuration's own default."""
-    return lambda answers: written(answers[key]) if key in answers else default(key)
+    return lambda answers: told(key)(answers) or default(key)
 
 
 KIND_WORDS = {
@@ -70,6 +77,19 @@ TOPIC_WORDS = {
 TLS_PORT = "8883"
 POWER = {"openevse": "7.36", "can_elcon": "3.3"}
 """What chargers give as a rule: 32 A, and the small Elcon."""
+
+
+def _port(answers: Answers) -> str:
+    """The port told before, unless it was only the usual one and encryption has changed; else the usual one."""
+    usual = {True: TLS_PORT, False: default("broker.port")}
+    encrypted = bool(answers["broker.tls"])
+    told = written(answers.get("broker.port"))
+    return usual[encrypted] if told in ("", usual[not encrypted]) else told
+
+
+def _none_of(key: str) -> FromAnswers:
+    """How an answer given before is taken back, where Enter would repeat it."""
+    return lambda answers: f"Write {NONE} for none." if key in answers else ""
 
 
 def of_kind(answers: Answers) -> str:
@@ -123,18 +143,26 @@ BROKER = (
     Question(
         ("broker.ca_file",),
         "File of the authority that signed its certificate",
-        file("broker.ca_file"),
-        lambda _: "",
+        unless_none(file("broker.ca_file")),
+        told("broker.ca_file"),
         when=lambda answers: bool(answers["broker.tls"]),
+        before=_none_of("broker.ca_file"),
         blank="a public one",
     ),
     Question(
         ("broker.port",),
         "Port",
         number("broker.port"),
-        lambda answers: TLS_PORT if answers["broker.tls"] else default("broker.port"),
+        _port,
     ),
-    Question(("broker.username",), "User", word("broker.username"), lambda _: "", blank="it asks for none"),
+    Question(
+        ("broker.username",),
+        "User",
+        unless_none(word("broker.username")),
+        told("broker.username"),
+        before=_none_of("broker.username"),
+        blank="it asks for none",
+    ),
 )
 PLUG = (
     Question(
@@ -160,7 +188,7 @@ CHARGING = (
         ("plug.power_kw",),
         "What the car draws there, in kW",
         number("plug.power_kw", "kW"),
-        lambda answers: POWER.get(of_kind(answers), default("plug.power_kw")),
+        lambda answers: told("plug.power_kw")(answers) or POWER.get(of_kind(answers), default("plug.power_kw")),
     ),
     Question(
         ("plug.max_current_a",),
