@@ -176,7 +176,5 @@ class Events(RuleBasedStateMachine):
             assert night.outcome(()).objections == ()
 
 
-Events.TestCase.settings = settings(
-    max_examples=15, stateful_step_count=12, deadline=None, suppress_health_check=list(HealthCheck)
-)
+Events.TestCase.settings = settings(max_examples=15, stateful_step_count=12, suppress_health_check=list(HealthCheck))
 TestEvents = Events.TestCase

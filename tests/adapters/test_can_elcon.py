@@ -380,7 +380,7 @@ FRAMES = st.builds(
 )
 
 
-@settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=60, suppress_health_check=[HealthCheck.too_slow])
 @given(batches=st.lists(st.lists(FRAMES, max_size=12), min_size=1, max_size=8), power_kw=st.floats(1.38, 3.3))
 def test_no_command_above_the_batterys_limits_whatever_arrives(
     batches: list[list[can.Message]], power_kw: float

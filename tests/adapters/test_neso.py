@@ -324,7 +324,7 @@ answers = st.one_of(
 )
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=400)
 @given(body=answers, where=st.sampled_from(["national", "13", "SW1"]))
 @example(body=b'{"data":[{"regionid":' + b"[" * 900 + b"]" * 900 + b',"data":[1]}]}', where="13")
 def test_any_answer_is_a_sound_forecast_or_malformed(body: bytes, where: str) -> None:

@@ -129,7 +129,7 @@ memories = st.builds(
 
 
 @given(memory=memories)
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_any_memory_comes_back(tmp_path: Path, memory: Memory) -> None:
     with SqliteStore(tmp_path) as store:
         store.save(memory)

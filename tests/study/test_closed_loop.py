@@ -43,7 +43,7 @@ drivers = st.lists(st.tuples(st.floats(0, 3), st.floats(0, 3), st.floats(0, 12))
 
 
 @pytest.mark.timeout(600)
-@settings(max_examples=40, deadline=None, phases=(Phase.explicit, Phase.generate))  # shrinking takes minutes
+@settings(max_examples=40, phases=(Phase.explicit, Phase.generate))  # shrinking takes minutes
 @given(
     values=forecasts,
     stays=drivers,

@@ -57,7 +57,7 @@ class Scripted:
         return Setpoint(kw, until)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     script=st.lists(st.tuples(st.floats(0, 22), st.floats(0.01, 20), st.booleans()), min_size=1, max_size=7),
     efficiency=st.floats(0.5, 1.0),

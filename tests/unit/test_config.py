@@ -437,7 +437,7 @@ def outcome(text: str) -> Config | str:
         return str(error)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(st.one_of(st.text(max_size=200), ASSIGNMENTS, ASSIGNMENTS.map(lambda a: f'plug.topic = "x"\n{a}')))
 @example('"\\u2028\\n" = 1')
 @example('broker.password = "\\u0085"')
@@ -454,7 +454,7 @@ def test_whatever_is_written_it_is_a_configuration_or_one_line(text: str) -> Non
         assert result.nights.morning_minimum_pct <= result.car.soc_max_pct
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(key=st.sampled_from(known_keys()), value=SCALARS)
 def test_one_key_at_a_time(key: str, value: str) -> None:
     text = f"{key} = {value}" if key.startswith("plug") else f'plug.topic = "x"\n{key} = {value}'

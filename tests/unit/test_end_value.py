@@ -26,7 +26,7 @@ def worth_g(found: end_value.Steps) -> float:
     return sum(width_kwh * worth for width_kwh, worth in found)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     known=some_nights,
     slot_kwh=st.floats(0.0, 6.0),
@@ -48,7 +48,7 @@ def one_session() -> tuple[ProblemSession, ...]:
     return (ProblemSession((100.0,), (0.5,), (10.0,), 25.0, 40.0, 5.8),)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(known=some_nights, low=st.floats(0.0, 20.0), more=st.floats(0.0, 10.0))
 def test_who_drives_more_never_values_a_kwh_less(known: tuple[tuple[float, ...], ...], low: float, more: float) -> None:
     less_used = end_value.steps(known, 5.0, low, 15.0, 1.0)
@@ -171,7 +171,7 @@ def test_a_night_cleaner_than_usual_is_used_beyond_the_minimum() -> None:
         assert (solution.energy_kwh[-1] > 30.0) is beyond
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(known=some_nights, cells=st.integers(1, 20), more=st.integers(0, 10), use=st.integers(0, 20))
 def test_more_room_never_lowers_the_worth_of_the_first_kwh(
     known: tuple[tuple[float, ...], ...], cells: int, more: int, use: int

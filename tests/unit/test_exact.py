@@ -45,7 +45,7 @@ def test_the_optimum_is_that_of_highs_on_5000_random_problems() -> None:
     assert 1500 < infeasible < 3500  # both kinds are there
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(st.randoms(use_true_random=False))
 def test_any_problem_has_a_sound_finite_plan(rng: random.Random) -> None:
     asked = make.problem(rng)
@@ -68,7 +68,7 @@ def flat(solution: Solution) -> list[float]:
     return [*powers, *solution.energy_kwh, *solution.shortfall_kwh, *solution.reserve_short_kwh]
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.randoms(use_true_random=False), st.floats(0.1, 20))
 def test_more_energy_now_never_costs_carbon(rng: random.Random, more_kwh: float) -> None:
     asked = make.everyday(rng)

@@ -71,7 +71,7 @@ def test_before_four_weeks_are_seen_nothing_is_other_than_configured(found: list
 
 
 @given(st.lists(nights, max_size=150))
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 def test_a_morning_minimum_is_never_learned(found: list[SeenNight]) -> None:
     learned = habits.informed(HOUSE, habits.kept(Habits(), *found))
     assert learned.nights == HOUSE.nights
@@ -186,7 +186,7 @@ def test_not_wanted_or_seen_in_part_it_is_not_learned() -> None:
 
 
 @given(st.lists(nights, max_size=400))
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_what_is_remembered_is_bounded(found: list[SeenNight]) -> None:
     known = Habits()
     for night in found:
@@ -204,7 +204,7 @@ def test_a_clock_that_ran_ahead_does_not_end_learning() -> None:
 
 
 @given(st.lists(nights, max_size=60))
-@settings(deadline=None, max_examples=10)
+@settings(max_examples=10)
 def test_it_survives_a_restart(tmp_path_factory: pytest.TempPathFactory, found: list[SeenNight]) -> None:
     known = replace(habits.kept(Habits(), *found), arrived_at=NOON, level_kwh=20.0, day=MONDAY, whole=True)
     memory = replace(perception.fresh(NOON), habits=known)

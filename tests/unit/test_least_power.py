@@ -100,7 +100,7 @@ def milp_g(asked: Problem) -> float | None:
     return None if found.x is None else float(found.fun)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(st.randoms(use_true_random=False), st.booleans())
 def test_it_is_kept_by_both_solvers_on_any_problem_and_no_ceiling_is_passed(rng: random.Random, osqp: bool) -> None:
     asked = with_least(make.problem(rng), rng)

@@ -3,7 +3,7 @@
 from datetime import UTC, datetime, timedelta
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from plugd import outlook
@@ -53,7 +53,6 @@ def test_own_history_replaces_the_built_in_day() -> None:
     assert max(s.g_per_kwh for s in found.slots[1:]) < 60.0
 
 
-@settings(deadline=None)
 @given(
     values=st.lists(st.none() | st.floats(0, 1000), max_size=100),
     old_h=st.floats(0, 60),

@@ -231,7 +231,7 @@ JSON = st.recursive(
 KEYS = [*document(), *(f"sessions.{key}" for key in ("intensity", "daily_use_kwh", "power_max_kw", "slot_h"))]
 
 
-@settings(max_examples=400, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=400, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(key=st.sampled_from(KEYS), value=JSON)
 def test_any_value_anywhere_is_planned_finitely_or_refused_in_one_line(file: Path, key: str, value: object) -> None:
     session, _, own = key.partition(".")

@@ -50,7 +50,7 @@ def test_carbon_is_within_a_twentieth_of_a_percent_of_exact_on_1000_random_probl
     assert fallbacks <= 1
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(st.randoms(use_true_random=False))
 def test_any_problem_has_a_sound_finite_plan(rng: random.Random) -> None:
     asked = make.problem(rng)

@@ -326,7 +326,7 @@ def nights(draw: st.DrawFn) -> tuple[SessionPlan, datetime, RelayHistory, float,
     return plan, now, history, draw(st.floats(0.0, 5.0)), must_kwh
 
 
-@settings(max_examples=600, deadline=None)
+@settings(max_examples=600)
 @given(night=nights(), seed=st.none() | st.integers(0, 9))
 def test_dwell_budget_and_energy_hold_for_any_plan(
     night: tuple[SessionPlan, datetime, RelayHistory, float, float], seed: int | None
@@ -465,7 +465,7 @@ def anything(seed: int) -> Callable[[int, int], float]:
     return lambda tick, slot: delay_s(at(30 * (97 * tick + slot)), seed=str(seed), most_s=1000.0) / 1000.0
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(
     share=st.floats(0.01, 1.0),
     power_kw=st.sampled_from([1.2, 2.3, 3.6, 7.4, 10.0]),
