@@ -30,8 +30,11 @@ PROBLEM = {
     "sessions": [{"intensity": [200, 150, 100, 120, 90] * 4, "morning_minimum_pct": 45.0, "daily_use_kwh": 8.0}] * 4,
     "end_value_g_per_kwh": 50.0,
 }
-UNSEEN = ("/proc", "/sys", "/dev", "/run", "/tmp", "/packages", "/var/log", "/var/lib/dpkg", "/var/lib/apt")
-"""Where a purge may leave traces: the system's own books."""
+UNSEEN = (
+    *("/proc", "/sys", "/dev", "/run", "/tmp", "/packages"),
+    *("/var/log", "/var/lib/dpkg", "/var/lib/apt", "/var/cache/debconf"),
+)
+"""Where a purge may leave traces: the system's own books. apt 3 makes a folder below debconf."""
 
 
 def newer(package: Path, folder: Path) -> Path:
