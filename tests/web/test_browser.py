@@ -157,10 +157,19 @@ def test_a_trip_is_set_and_removed(sight: Sight) -> None:
     sight.fill("[data-command=trip] [name=ready_by]", "06:15")
     sight.one("[data-command=trip] .row button").click()
     sight.says("#trips", "Wednesday 4 January: 75 %, ready by 06:15")
-    assert [trip.day for trip in sight.served.room.cycle.memory.overrides.trips] == [date(2023, 1, 4)]
-    sight.one("[data-clear]").click()
-    sight.until(lambda: sight.one("#trips").text == "")
-    assert sight.served.room.cycle.memory.overrides.trips == ()
+    assert [trip.day for trip in overrides(sight).trips] == [date(2023, 1, 4)]
+    for day in (5, 6):
+        sight.fill("[name=date]", f"2023-01-0{day}")
+        sight.type("[name=minimum_pct]", "75")
+        sight.one("[data-command=trip] .row button").click()
+        sight.says("#trips", f" {day} January: 75 %")
+    sight.one("#trips li:nth-child(2) button").click()
+    sight.until(lambda: "5 January" not in sight.one("#trips").text)
+    assert [trip.day for trip in overrides(sight).trips] == [date(2023, 1, 4), date(2023, 1, 6)]
+    for left in (1, 0):
+        sight.one("#trips button").click()
+        sight.until(lambda count=left: len(sight.browser.find_elements(By.CSS_SELECTOR, "#trips li")) == count)  # type: ignore[misc]
+    assert overrides(sight).trips == ()
 
 
 def overrides(sight: Sight) -> Overrides:

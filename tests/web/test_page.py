@@ -281,6 +281,15 @@ def test_a_trip_is_set_shown_and_cleared(served: Served) -> None:
     assert served.room.cycle.memory.overrides.trips == ()
 
 
+def test_each_trip_has_a_button_with_its_own_date(served: Served) -> None:
+    """The page's script sends that date back."""
+    for day in ("2023-01-05", "2023-01-04", "2023-01-09"):
+        assert served.set("trip", json.dumps({"date": day, "away": True})).document["ok"]
+    for text in (served.get().text, served.get("/live").document["html"]["trips"]):
+        shown = re.findall(r'<li>\w+ (\d) January: .*? data-clear="2023-01-0(\d)"', text)
+        assert shown == [("4", "4"), ("5", "5"), ("9", "9")]
+
+
 @pytest.mark.parametrize(
     ("command", "payload", "status"),
     [
@@ -519,6 +528,30 @@ def test_fifty_clients_do_not_hold_up_the_cycle(served: Served) -> None:
     assert answered.count(200) > 20
     # Clients and cycle share one process and interpreter here, so this is far worse than any house.
     assert hammered_s < 20 * alone_s + 1.0
+
+
+@pytest.mark.parametrize("trickle", [b"", b"1\r\n6\r\n"], ids=["stops", "trickles"])
+def test_a_body_that_never_ends_is_cut(served: Served, monkeypatch: pytest.MonkeyPatch, trickle: bytes) -> None:
+    """However slowly it goes on: the patience is for all of it."""
+    monkeypatch.setattr("plugd.web.app.PATIENCE_S", 0.5)
+    host, port = served.host.rsplit(":", 1)
+    head = (
+        *("POST /command/minimum HTTP/1.1", f"Host: {served.host}", f"Origin: http://{served.host}"),
+        *(f"X-Plugd-Token: {TOKEN}", "Transfer-Encoding: chunked", "", "1", "6", ""),
+    )
+    with socket.create_connection((host, int(port)), timeout=0.1) as connection:
+        connection.sendall("\r\n".join(head).encode())
+        answer = b""
+        for _ in range(100):
+            try:
+                answer = connection.recv(4096)
+                break
+            except TimeoutError:
+                connection.sendall(trickle)
+    assert answer.startswith(b"HTTP/1.1 408 ")
+    assert served.page.gate.refused == {"slow": 1}
+    assert served.room.cycle.memory.overrides.minimum is None
+    assert served.get().status == 200
 
 
 def test_half_open_connections_are_bounded(served: Served) -> None:
