@@ -249,7 +249,8 @@ def state(decision: Decision, reading: Reading | None, household: Household) -> 
     outranked = decision.status in (Status.OFF, Status.DISCONNECTED, Status.BOOSTING)
     orders = memory.orders if isinstance(memory.orders, Switching) and not outranked else None
     start = orders.next(now, True) if orders else None
-    # A guard that holds in a morning that is over, or before the next night, ends by the need, not by the plan's stop.
+    # A guard that holds in a morning that is over, or before the next night, ends by the need: the plan's stop is not
+    # its own, and the plan's end is not when the car that is late is ready.
     held = memory.guarding and tonight is not None and now < tonight.session.start
     stop = orders.next(now, False) if orders and not held else None
     ends = [slot.end for slot in (tonight.slots if tonight else ()) if slot.power_kw > 0.01 and slot.end > now]
@@ -276,7 +277,7 @@ def state(decision: Decision, reading: Reading | None, household: Household) -> 
         "intensity_g_per_kwh": _intensity_at(now, outlook),
         "next_start": iso(start) if start else None,
         "next_stop": iso(stop) if stop else None,
-        "ready_at": iso(max(ends)) if ends and not outranked else None,
+        "ready_at": iso(max(ends)) if ends and not outranked and not held else None,
         "ready_by": iso(tonight.session.end) if tonight else None,
         "morning_soc_pct": to_pct(_morning_soc(tonight, now, memory, house)) if tonight else None,
         "minimum_pct": to_pct(tonight.session.minimum) if tonight else None,

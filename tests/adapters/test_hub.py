@@ -522,7 +522,7 @@ def test_while_the_guard_is_late_no_stop_of_the_coming_nights_is_announced() -> 
     assert isinstance(late.memory.orders, Switching)
     assert late.memory.orders.next(late.at, False), "the plan has a stop of its own"
     told = state(late, None, HOME)
-    assert told["next_stop"] is None
+    assert (told["next_stop"], told["ready_at"]) == (None, None)
     assert told["next_start"] is not None
 
 
