@@ -7,6 +7,7 @@ import importlib.util
 import os
 import shutil
 import signal
+import socket
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -49,6 +50,17 @@ def find_chromedriver() -> Path | None:
     return Path(found) if found else None
 
 
+def find_multicast() -> Path | None:
+    """A way for multicast; a machine without any network but loopback has none, even to itself."""
+    group = socket.inet_aton("239.74.163.2") + socket.inet_aton("0.0.0.0")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, group)
+        except OSError:
+            return None
+    return Path("/sys/class/net")
+
+
 @dataclass(frozen=True, slots=True)
 class Component:
     """Something of the machine that some tests cannot do without."""
@@ -70,6 +82,7 @@ COMPONENTS = {
         "sudo apt install chromium chromium-driver",
         ("chromium", "chromedriver"),
     ),
+    "multicast": Component(find_multicast, "connect it to a network; nothing is sent to it", ()),
 }
 MISSING = pytest.StashKey[list[str]]()
 NEEDS = "needs "

@@ -40,6 +40,7 @@ def charges(rig: CanRig, within_s: float = 5.0) -> bool:
     return given and not charger.read().on
 
 
+@pytest.mark.requires("multicast")
 def test_over_udp_multicast_that_never_leaves_this_machine(clock: SystemClock) -> None:
     channel = f"239.74.163.2:{free_port()}"
     stub, _ = stub_at("--bus", channel)
@@ -106,6 +107,7 @@ def test_a_bus_that_is_not_there_is_said_and_tried_again(
 # -- by hand --------------------------------------------------------------------------------------
 
 
+@pytest.mark.requires("multicast")
 def test_by_hand_it_is_shown_switched_and_checked_without_a_broker(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(daemon, "BROKER_PATIENCE_S", 0.1)
     stub, channel = stub_at("--bus", f"239.74.163.2:{free_port()}", "--volts", "380", "380", "--efficiency", "0.9")

@@ -67,7 +67,7 @@ def charger_at(place: Place, clock: Clock, beat_s: float = BEAT_S) -> CanElcon:
 
 
 def stub_at(*options: str) -> tuple[Program, str]:
-    """The stub charger, and the channel it says."""
+    """The stub charger, and the channel it says. One that says none does not stay."""
     timing = ("--period", str(BEAT_S / 2.0), "--timeout", str(5.0 * BEAT_S))
     stub = Program(
         "plugd_hil.can_elcon",
@@ -82,7 +82,11 @@ def stub_at(*options: str) -> tuple[Program, str]:
         *timing,
         *options,
     )
-    return stub, stub.said.until(lambda said: "channel" in said)["channel"]
+    try:
+        return stub, stub.said.until(lambda said: "channel" in said)["channel"]
+    except TimeoutError:
+        stub.close()
+        raise TimeoutError(f"the stub charger does not begin: {stub.complained.all[-3:]}") from None
 
 
 def can_slcan(_broker: Callable[[], Mosquitto]) -> Iterator[CanRig]:

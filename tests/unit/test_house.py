@@ -95,7 +95,7 @@ def test_a_required_component_that_is_missing_fails_the_run(pytester: pytest.Pyt
 def test_requiring_what_nobody_knows_fails_the_run(pytester: pytest.Pytester) -> None:
     code, said = suite(pytester, PLAIN, PLUGD_REQUIRE="mosqito")
     assert code == pytest.ExitCode.USAGE_ERROR
-    assert "unknown component mosqito; known: mosquitto, data, dask, chromium" in said
+    assert "unknown component mosqito; known: mosquitto, data, dask, chromium, multicast" in said
 
 
 def test_a_mark_that_nobody_knows_fails_the_run(pytester: pytest.Pytester) -> None:
@@ -360,5 +360,5 @@ def test_ci_fails_with_what_it_runs(tmp_path: Path) -> None:
     assert [target for target, *_ in targets][:2] == ["test", "check"]
     assert len(targets) > 5
     for target, _, required in targets:
-        assert required == "mosquitto,data,dask,chromium"
+        assert required == "mosquitto,data,dask,chromium,multicast"
         assert ci(target).returncode != 0
