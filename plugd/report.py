@@ -230,12 +230,12 @@ def document(report: Report) -> dict[str, object]:
 
 
 def table(report: Report) -> str:
-    """CSV: one line a night."""
+    """CSV: one line a night; yes is 1 and no is 0, which spreadsheets of every language take as numbers."""
     rows = [night_row(night) for night in report.nights]
     out = io.StringIO()
     writer = csv.DictWriter(out, fieldnames=list(rows[0]), lineterminator="\n")
     writer.writeheader()
-    writer.writerows(rows)
+    writer.writerows({key: int(x) if isinstance(x, bool) else x for key, x in row.items()} for row in rows)
     return out.getvalue()
 
 

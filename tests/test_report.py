@@ -141,6 +141,10 @@ def test_json_and_csv_say_the_same(config: Path, made: Made, capsys: pytest.Capt
     rows = list(csv.DictReader(io.StringIO(said(capsys, "-c", str(config), "report", "--csv"))))
     assert [float(row["carbon_g"]) for row in rows] == [night["carbon_g"] for night in answer["nights"]]
     assert set(rows[0]) == set(answer["nights"][0])
+    for row, night in zip(rows, answer["nights"], strict=True):
+        for key in ("arrival_told", "missed", "final"):
+            assert row[key] == {True: "1", False: "0"}[night[key]], "what a spreadsheet in any language can add up"
+    assert {night["final"] for night in answer["nights"]} == {True, False}
     assert answer["horizons"][0]["horizon"] == 4
     assert answer["horizons"][0]["kwh"] > 0.0
     assert answer["forecast"][0]["half_hours"] > 0
