@@ -6,13 +6,21 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 
+RUN = Path("/run/systemd")
 SYSTEMD = Path(__file__).parents[1] / "systemd"
 MOST_EXPOSED = 1.5
 """On the scale of `systemd-analyze security`, 0 to 10."""
 BACKOFF_SINCE = 254
 """The systemd that knows the keys of plugd-backoff.conf."""
+NEEDED: tuple[tuple[Callable[[], bool], str], ...] = (
+    (lambda: shutil.which("systemd-analyze") is not None, "systemd-analyze is missing: sudo apt install systemd"),
+    # It makes that folder where it is not there, as in a container that no systemd has booted, if it may.
+    (lambda: RUN.is_dir() or os.access(RUN.parent, os.W_OK), f"systemd-analyze needs {RUN}: sudo mkdir -p {RUN}"),
+)
+"""(whether it is there, what to say where it is not)."""
 
 
 def said(*arguments: str) -> str:
@@ -45,8 +53,9 @@ def exposure(unit: str) -> float:
 
 def main() -> int:
     """Check the unit alone and with its drop-ins. Returns the exit code."""
-    if shutil.which("systemd-analyze") is None:
-        print("unit: NOT CHECKED, systemd-analyze is missing: sudo apt install systemd", file=sys.stderr)
+    missing = next((what for there, what in NEEDED if not there()), None)
+    if missing is not None:
+        print(f"unit: NOT CHECKED, {missing}", file=sys.stderr)
         return 1 if os.environ.get("CI") else 0
     version = re.match(r"systemd (\d+)", said("--version"))
     dropins = ["plugd-can.conf"]

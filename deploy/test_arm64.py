@@ -82,7 +82,7 @@ def main() -> int:
                 tree,
                 (given.package or build(TARGETS["bookworm"], ARCHITECTURE, "1", CACHE / "dist", quick=True)).resolve(),
             )
-            return tests(tree, [*given.tests, *more] or list(TESTS))
+            return tests(tree, [*(given.tests or TESTS), *more])
     except Failed as failure:
         print(f"FAILED  {failure}", file=sys.stderr)
         return 1

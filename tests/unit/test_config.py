@@ -371,6 +371,7 @@ def test_what_systemd_hands_over_under_the_files_name_goes_first(
     path = with_secrets(tmp_path, b"file\n")
     for content, secret in ((None, "file"), ("\n", "file"), ("handed over\n", "handed over")):
         if content is not None:
+            (handed / "secret").unlink(missing_ok=True)
             (handed / "secret").write_text(content)
             (handed / "secret").chmod(0o440)
         config = load(path)
