@@ -24,6 +24,7 @@ from plugd.domain import (
     SetSoc,
     SocEstimate,
 )
+from plugd.errors import StoreError
 from plugd.perception import fresh
 from plugd.planner.exact import Exact
 from plugd.planner.problem import Solver
@@ -167,8 +168,12 @@ class Night:
             self.hub.said.append(command)
 
     def begin(self, memory: Memory | None) -> None:
-        """The daemon starts."""
+        """The daemon starts, with the forecast that was kept."""
         self.plug = self.plug.restarted()
+        try:
+            forecast = self.store.latest_forecast()
+        except StoreError:
+            forecast = None
         self.cycle = Cycle(
             clock=self.clock,
             source=self.source,
@@ -178,6 +183,7 @@ class Night:
             controller=Controller(self.home, self.solver, seed=str(self.seed)),
             memory=memory or fresh(self.clock.now()),
             spread=lambda: 0.5,
+            forecast=forecast,
         )
         self.lost_at = None if self.reachable() else self.lost_at
 

@@ -16,6 +16,7 @@ from plugd.units import HALF_HOUR, hours, slot_start
 from plugd_hil.car import CarAtHome
 
 MEMORY = TypeAdapter(Memory)
+FORECAST = TypeAdapter(Forecast)
 ORIGIN = timedelta(seconds=0)
 TIMER_S = 3600.0
 
@@ -278,8 +279,11 @@ class ChaosStore:
         return ()
 
     def latest_forecast(self) -> Forecast | None:
-        """None: the first fetch brings one."""
-        return None
+        """The last one kept: a restart goes on with it until a newer one is due."""
+        if self.lost:
+            raise StoreError("plugd.db: the forecast cannot be read; plugd begins without it")
+        kept = self.ram.forecasts
+        return FORECAST.validate_json(FORECAST.dump_json(kept[-1])) if kept else None
 
     def history(self, since: datetime) -> tuple[Intensity, ...]:
         """What was kept."""
