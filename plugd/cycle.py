@@ -286,4 +286,4 @@ class Cycle:
 
 def _lasting(memory: Memory) -> tuple[object, ...]:
     """What is saved at once when it changes between two ticks, though the relay does not move."""
-    return memory.guarding, memory.flow.cut, memory.flow.wakes, memory.on_by
+    return memory.guarding, memory.flow.cut, memory.flow.wakes, memory.flow.flowed, memory.on_by

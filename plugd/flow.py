@@ -37,7 +37,7 @@ def seen(now: datetime, reading: Reading, memory: Memory, household: Household) 
     if household.capability.modulating:
         return memory
     found = replace(_over(now, reading, memory.flow, household), leak=_leak(now, reading, memory.flow.leak))
-    return replace(memory, flow=_idle(now, reading, found))
+    return replace(memory, flow=_idle(now, reading, found, _on_since(now, memory)))
 
 
 def _over(now: datetime, reading: Reading, flow: Flow, household: Household) -> Flow:
@@ -75,7 +75,14 @@ def leaks(leak: Leak | None) -> bool:
     return leak is not None and leak.sure
 
 
-def _idle(now: datetime, reading: Reading, flow: Flow) -> Flow:
+def _on_since(now: datetime, memory: Memory) -> datetime:
+    """Since when power could flow into this car: also where plugd was started anew since, and has not looked yet."""
+    moments = (memory.relay_since, memory.presence.since if memory.presence.connected else None)
+    known = [moment for moment in moments if moment is not None]
+    return min(now, max(known)) if memory.relay_on and known else now
+
+
+def _idle(now: datetime, reading: Reading, flow: Flow, on_since: datetime) -> Flow:
     """Whether something flows while the relay is on, and whether the car stopped by itself."""
     if flow.wake_until is not None and now >= flow.wake_until and (reading.on or now > flow.wake_until + WAKE_SLACK):
         flow = replace(flow, wake_until=None)
@@ -85,7 +92,9 @@ def _idle(now: datetime, reading: Reading, flow: Flow) -> Flow:
         return flow
     if reading.power_kw >= FLOWING_KW:
         return replace(flow, idle_since=None, flowed=True, stopped_at=None)
-    began = flow.idle_since if flow.idle_since is not None and flow.idle_since <= now else now
+    began = flow.idle_since if flow.idle_since is not None and flow.idle_since <= now else None
+    if began is None:
+        began = now if flow.flowed else on_since
     stopped_at = began if flow.flowed and flow.stopped_at is None else flow.stopped_at
     return replace(flow, idle_since=began, stopped_at=stopped_at)
 
@@ -149,7 +158,8 @@ def next_look(now: datetime, flow: Flow, household: Household) -> datetime | Non
 
 def anew(memory: Memory) -> Memory:
     """The car has just been plugged in: it may be another's, and is woken again if need be. A cut stays."""
-    return replace(memory, flow=replace(memory.flow, flowed=False, stopped_at=None, woken_for=None))
+    flow = replace(memory.flow, flowed=False, stopped_at=None, woken_for=None, idle_since=None)
+    return replace(memory, flow=flow)
 
 
 def _clock(moment: datetime, household: Household) -> str:

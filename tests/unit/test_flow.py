@@ -302,6 +302,19 @@ def test_a_car_plugged_in_anew_may_be_woken_again() -> None:
     memory, _ = idle(here=True, before_kw=2.3)
     anew = plugged_in(replace(memory, flow=replace(memory.flow, woken_for=at(7, day=3).date())), NIGHT)
     assert (anew.flow.woken_for, anew.flow.stopped_at) == (None, None)
+    assert not flow.sleeps(NIGHT, None, anew, SOCKET), "it gets the time that any car gets"
+
+
+def test_a_plugd_that_was_started_anew_knows_since_when_nothing_flows() -> None:
+    """Nothing has flowed since the relay went on, whoever was there to see it; then it has only stopped since."""
+    memory = replace(knows(0.42, NIGHT), relay_on=True, relay_since=NIGHT - minutes(9), presence=Presence(True, EVENING))
+    assert perceive(NIGHT, told(NIGHT, 0.0), memory, SOCKET).flow.idle_since == NIGHT - minutes(9)
+    flowed = replace(memory, flow=replace(memory.flow, flowed=True))
+    assert perceive(NIGHT, told(NIGHT, 0.0), flowed, SOCKET).flow.idle_since == NIGHT
+    # Nor before the car came, or the relay was seen to be on.
+    came = replace(memory, presence=Presence(True, NIGHT - minutes(2)))
+    assert perceive(NIGHT, told(NIGHT, 0.0), came, SOCKET).flow.idle_since == NIGHT - minutes(2)
+    assert perceive(NIGHT, told(NIGHT, 0.0), replace(memory, relay_on=False), SOCKET).flow.idle_since == NIGHT
 
 
 def test_a_press_ends_the_waking() -> None:
@@ -322,7 +335,7 @@ def test_waking_through_the_whole_cycle() -> None:
     house.run(at(3, day=3))
     assert house.plug.told == [ON, OFF, ON]
     on, off, again = house.plug.tries
-    assert (again - off, off - on) == (minutes(10), minutes(15) + seconds(10))
+    assert (again - off, off - on) == (minutes(10), minutes(15))
     memory = house.cycle.memory
     assert (memory.flow.wakes, memory.switch_ons) == (1, (on,))
     assert "switching off and on has not woken it" in house.faults()["no_current"]
