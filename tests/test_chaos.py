@@ -1,17 +1,24 @@
 """A part of the chaotic nights, a night restarted a hundred times, and any events in any order."""
 
 import random
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
+from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
-from plugd.domain import Mode, SetConnected, SetMinimum, SetMode, SetSoc
+from plugd.adapters.kept_twice import KeptTwice
+from plugd.book import Book
+from plugd.domain import Forecast, Intensity, Mode, SetConnected, SetMinimum, SetMode, SetSoc
+from plugd.outlook import Learned
+from plugd.units import HALF_HOUR
 from tests.chaos.__main__ import jobs, work
 from tests.chaos.night import Night, Trouble, single
-from tests.chaos.ports import down
+from tests.chaos.ports import ChaosSource, down
 from tests.chaos.troubles import TROUBLES
 
 NIGHTS, PAIRS = 24, 12
@@ -44,27 +51,70 @@ def test_the_oracle_sees_a_morning_that_was_missed() -> None:
 # -- a restart is not to be seen ------------------------------------------------------------------
 
 
-def moves(seed: int, restarts: tuple[datetime, ...], *, kills: bool) -> list[tuple[datetime, bool]]:
-    """How the relay moved in that night, with the daemon killed at these moments, or only looking then."""
+def moments(seed: int) -> tuple[datetime, ...]:
+    """When the daemon is killed in that night."""
+    dice, start = random.Random(seed), Night(seed).clock.start
+    return tuple(start + timedelta(minutes=dice.uniform(1.0, 840.0)) for _ in range(RESTARTS))
+
+
+def moves(seed: int, folder: Path | None, *, kills: bool) -> list[tuple[datetime, bool]]:
+    """How the relay moved in that night, with the daemon killed at its moments, or only looking then.
+
+    With a folder on the daemon's own store, with what it learns of a forecast that is revised, and with its ledger.
+    """
     night = Night(seed)
+    stores = ExitStack()
+
+    def ready() -> None:
+        cycle = night.cycle
+        if folder is None or cycle is None:
+            return
+        store = KeptTwice(folder)
+        stores.callback(store.close)
+        cycle.store, cycle.book, cycle.learned = store, Book(store, night.home), Learned()
+        cycle.source, cycle.forecast = Revised(night.clock, night.source.level), store.latest_forecast()
+        cycle.memory = store.load() or cycle.memory
+
+    def kill() -> None:
+        stores.close()
+        night.kill()
+
+    def again() -> None:
+        if night.cycle is None:
+            night.begin(night.store.load())
+            ready()
 
     def nothing() -> None: ...
 
-    def again() -> None:
-        night.begin(night.store.load())
-
-    for at in restarts:
-        night.at(at, night.kill if kills else nothing)
+    ready()
+    for at in moments(seed):
+        night.at(at, kill if kills else nothing)
         night.at(at + GAP, again if kills else nothing)
-    night.run()
+    with stores:
+        night.run()
+    assert night.objections == []
     return night.device.moves
 
 
-@pytest.mark.parametrize("seed", [11, 12, 13, 30, 53])
-def test_killed_a_hundred_times_the_relay_moves_as_if_it_never_was(seed: int) -> None:
-    dice, start = random.Random(seed), Night(seed).clock.start
-    moments = tuple(start + timedelta(minutes=dice.uniform(1.0, 840.0)) for _ in range(RESTARTS))
-    whole, killed = (moves(seed, moments, kills=kills) for kills in (False, True))
+@dataclass(slots=True)
+class Revised(ChaosSource):
+    """A forecast that is wrong by more the further ahead, and says something else half an hour later."""
+
+    def fetch(self, now: datetime) -> Forecast:
+        exact = ChaosSource.fetch(self, now)
+        first, dice, error, rows = exact.expected[0].start, random.Random(now.isoformat()), 0.0, []
+        for row in exact.expected:
+            error = 0.97 * error + dice.gauss(0.0, 0.05)
+            rows.append(replace(row, g_per_kwh=max(1.0, row.g_per_kwh * (1.0 + error))))
+        over = (first - k * HALF_HOUR for k in range(50, 2, -1))
+        return replace(exact, expected=tuple(rows), actual=tuple(Intensity(at, self.level(at)) for at in over))
+
+
+@pytest.mark.parametrize(("seed", "on_disk"), [(11, False), (12, False), (53, False), (13, True), (30, True)])
+def test_killed_a_hundred_times_the_relay_moves_as_if_it_never_was(seed: int, on_disk: bool, tmp_path: Path) -> None:
+    ways = ("undisturbed", "killed")
+    folders = [tmp_path / way if on_disk else None for way in ways]
+    whole, killed = (moves(seed, folder, kills=kills) for folder, kills in zip(folders, (False, True), strict=True))
     assert [on for _, on in killed] == [on for _, on in whole]
     assert len(whole) >= 2
     late = [abs(b - a) for (a, _), (b, _) in zip(whole, killed, strict=True)]

@@ -6,6 +6,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
+from heapq import merge
 from math import exp, sqrt
 
 from plugd.domain import Forecast, Intensity, Series
@@ -34,6 +35,8 @@ LATEST = 4
 """Half hours of measured values that say how wrong the forecast is now."""
 EVERY = 12
 """Half hours from one outlook that is kept and later compared with what came to the next."""
+AT_ONCE = timedelta(seconds=5)
+"""A forecast asked for as a half hour begins is there a moment later."""
 AHEAD = 192
 """Half hours of it that are kept."""
 EDGES = (12, 24, 72, 120)
@@ -260,9 +263,10 @@ class Learned:
 def replayed(issued: Sequence[Forecast], actuals: Sequence[Intensity], now: datetime) -> Learned:
     """What is known at `now`, learned from the store as it would have been learned day by day. Both sorted."""
     learned, told, published = Learned(), 0, 0
-    first = min([now, *(value.start for value in actuals[:1]), *(forecast.issued_at for forecast in issued[:1])])
-    for moment in moments(first, now):
-        new = bisect_right(issued, moment, key=lambda forecast: forecast.issued_at)
+    begun = [forecast.issued_at for forecast in issued[:1]]  # with the first one the first outlook was kept
+    first = min([now, *(value.start for value in actuals[:1]), *begun])
+    for moment in merge(begun, moments(first, now)):
+        new = bisect_right(issued, moment + AT_ONCE, key=lambda forecast: forecast.issued_at)
         over = bisect_right(actuals, moment - LATE - HALF_HOUR, key=lambda value: value.start)
         learned = learned.advanced(moment, issued[told:new], actuals[published:over])
         told, published = new, over

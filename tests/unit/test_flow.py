@@ -307,7 +307,9 @@ def test_a_car_plugged_in_anew_may_be_woken_again() -> None:
 
 def test_a_plugd_that_was_started_anew_knows_since_when_nothing_flows() -> None:
     """Nothing has flowed since the relay went on, whoever was there to see it; then it has only stopped since."""
-    memory = replace(knows(0.42, NIGHT), relay_on=True, relay_since=NIGHT - minutes(9), presence=Presence(True, EVENING))
+    memory = replace(
+        knows(0.42, NIGHT), relay_on=True, relay_since=NIGHT - minutes(9), presence=Presence(True, EVENING)
+    )
     assert perceive(NIGHT, told(NIGHT, 0.0), memory, SOCKET).flow.idle_since == NIGHT - minutes(9)
     flowed = replace(memory, flow=replace(memory.flow, flowed=True))
     assert perceive(NIGHT, told(NIGHT, 0.0), flowed, SOCKET).flow.idle_since == NIGHT
