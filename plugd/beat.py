@@ -104,8 +104,16 @@ def cautious_soc(moment: datetime, memory: Memory, household: Household) -> floa
 
 def next_plug_in(now: datetime, memory: Memory, household: Household) -> datetime | None:
     """When the next stay is expected to begin. None where no night at home is."""
-    stays = sessions.windows(household, memory.overrides, now)
-    return next((stay.session.start for stay in stays if stay.session.start > now), None)
+    stay = sessions.next_stay(now, household, memory.overrides)
+    return None if stay is None else stay.session.start
+
+
+def _next_watch(now: datetime, memory: Memory, household: Household) -> datetime | None:
+    """When the next stay is expected to begin at the earliest, and from then on: what is at stake changes."""
+    stay = sessions.next_stay(now, household, memory.overrides)
+    if stay is None:
+        return None
+    return stay.early_plug_in if stay.early_plug_in > now else stay.session.start
 
 
 def _at_stake(now: datetime, memory: Memory, household: Household) -> tuple[Session | None, Need | None]:
@@ -242,7 +250,7 @@ def _decided(now: datetime, memory: Memory, household: Household) -> Action:
         if holds:
             return act(_full_on(now, household), cause, until=now + WATCH)
     wanted, changes = _planned(now, memory, household)
-    moments = (changes, verdict.last_safe_start, next_plug_in(now, memory, household))
+    moments = (changes, verdict.last_safe_start, _next_watch(now, memory, household))
     until = min((m for m in moments if m is not None and m > now), default=None)
     if memory.presence.connected is False:
         return act(_off(now, household, held=False), Cause.ABSENT, until=until)

@@ -255,8 +255,13 @@ def drives(
     return tuple(found)
 
 
+def next_stay(now: datetime, household: Household, overrides: Overrides) -> Window | None:
+    """The next stay that is expected to begin. None where no night at home is."""
+    return next((stay for stay in windows(household, overrides, now) if stay.session.start > now), None)
+
+
 def coming_home(now: datetime, household: Household, overrides: Overrides, presence: Presence) -> Window | None:
     """The next stay, once its car may be at the plug already though nobody said so: from its early plug-in on."""
-    stay = next((w for w in windows(household, overrides, now) if w.session.start > now), None)
+    stay = next_stay(now, household, overrides)
     may_be_here = stay is not None and now >= stay.early_plug_in and presence.connected is not False
     return stay if may_be_here else None

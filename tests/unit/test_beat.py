@@ -236,8 +236,9 @@ def test_told_here_the_reserve_is_filled_though_no_night_at_home_is_expected() -
     [
         (meaning(), NIGHT, at(3, day=3)),
         (meaning(), at(4, day=3), at(5, day=3)),
-        (meaning(), at(14), at(20, 3)),
-        (meaning(orders=None), at(5, day=3), at(20, 3, day=3)),
+        (meaning(), at(14), at(15, 57)),  # from then on the coming night is watched, too
+        (meaning(), at(16), at(20, 3)),
+        (meaning(orders=None), at(5, day=3), at(15, 57, day=3)),
         (meaning(press=PRESSED_OFF), NIGHT, PRESSED_OFF.until),
         (meaning(mode=Mode.OFF), NIGHT, None),
         (meaning(mode=Mode.NOW), NIGHT, NIGHT + WATCH),
