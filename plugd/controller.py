@@ -17,6 +17,7 @@ from plugd.domain import (
     Orders,
     Outlook,
     Plan,
+    Reading,
     Session,
     SessionPlan,
     Setpoint,
@@ -43,6 +44,10 @@ SIMPLE_PLAN = (
 NO_METER = (
     "the meter's total stands still or jumps while power flows, and is not believed: energy is counted as power x "
     "time until it counts again; restart the plug, or reset its meter"
+)
+NO_MEASURE = (
+    "the meter tells a power, or a total, that cannot be, again and again: it is left out until it makes sense; "
+    "restart the plug, and see that its firmware and its units are what plugd knows"
 )
 
 
@@ -99,7 +104,8 @@ class Controller:
         """The decision as it stands, with its status and reason."""
         house = self.house(memory)
         action = beat.decide(now, memory, house)
-        faults = (*seen.faults, *flow.faults(now, action.memory, house), *believed(action.memory))
+        faults = (*seen.faults, *flow.faults(now, action.memory, house))
+        faults += believed(now, seen.reading, action.memory, house)
         faults += contest.faults(now, action.memory, house) + (safe_mode.faults(house) if self.safe else ())
         status, reason = reasons.explain(now, action, action.memory, outlook, house, faults)
         planned = memory.plan.sessions if memory.plan else ()
@@ -155,13 +161,19 @@ class Controller:
         return delay_s(block_start, seed=self.seed, most_s=self.household.relay.random_delay_s)
 
 
-def believed(memory: Memory) -> tuple[Fault, ...]:
-    """What of the solver and of the meter is not believed."""
+def believed(now: datetime, reading: Reading | None, memory: Memory, household: Household) -> tuple[Fault, ...]:
+    """What of the solver, of the meter and of the car is not believed, or is missed."""
     found = []
     if memory.plan is not None and memory.plan.status == "fallback":
         found.append(Fault("solver", SIMPLE_PLAN))
     if memory.soc.lent_kwh > 0.0:
         found.append(Fault("meter", NO_METER))
+    elif reading is not None and reading.nonsense:
+        found.append(Fault("meter", NO_MEASURE))
+    if soc.is_no_percentage(memory.soc):
+        found.append(Fault("car_soc", reasons.fraction_text(memory)))
+    elif soc.is_stale(memory.soc, now, household.car) and memory.presence.connected is not False:
+        found.append(Fault("soc_stale", reasons.stale_text(memory, household)))
     return tuple(found)
 
 

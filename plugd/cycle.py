@@ -15,6 +15,7 @@ from plugd.controller import Controller
 from plugd.domain import (
     Command,
     Decision,
+    Fault,
     Forecast,
     Intensity,
     Memory,
@@ -35,6 +36,7 @@ from plugd.wall import Wall, newest, shifted
 
 LOOK_S = 10.0
 FETCH_RETRY_S = (60.0, 120.0, 240.0, 480.0, 960.0, 1800.0)
+LOSS_TOLD_S = 24 * 3600.0
 TIMELESS = ("save", "history")
 """What is asked of the store without a clock too: nothing that is entered under a date."""
 Kept = TypeVar("Kept")
@@ -72,6 +74,8 @@ class Cycle:
     """When it was made, by the monotonic clock."""
     ahead: timedelta = timedelta(0)
     """How far the clock is ahead of the time that is believed."""
+    losses: Sequence[Fault] = ()
+    """What of the store was found damaged at the start. It is said for a day."""
 
     def __post_init__(self) -> None:
         self.actuator = Actuator(self.plug, self.faults)
@@ -145,9 +149,9 @@ class Cycle:
     def _seen(
         self, reading: Reading | None, orders: tuple[Command, ...] = (), history: tuple[Intensity, ...] = ()
     ) -> Observation:
-        faults = {
-            fault.code: fault for fault in (*self.faults, *self.wall.faults(), *self.plug.warnings, *self.hub.warnings)
-        }
+        lost = self.losses if self.clock.monotonic() - self.began_s < LOSS_TOLD_S else ()
+        found = (*lost, *self.faults, *self.wall.faults(), *self.plug.warnings, *self.hub.warnings)
+        faults = {fault.code: fault for fault in found}
         return Observation(reading, self.forecast, history, orders, tuple(faults.values()))
 
     def _tick_due(self, now: datetime) -> bool:

@@ -32,7 +32,7 @@ from plugd.config import Config, household
 from plugd.config.whole import MODULATING
 from plugd.controller import Controller
 from plugd.cycle import Cycle
-from plugd.domain import Capability, Decision, Forecast, Memory
+from plugd.domain import Capability, Decision, Fault, Forecast, Memory
 from plugd.errors import ConfigError, StoreError
 from plugd.journal import Journal
 from plugd.outlook import Learned
@@ -162,7 +162,8 @@ def cycle_for(
 ) -> Cycle:
     """The cycle with its ports, and the memory of the last run. `safe`: of that only what people have set."""
     plug = plug_for(config, connection, clock)
-    remembered = _remembered(store) or perception.fresh(clock.now())
+    kept, losses = _remembered(store)
+    remembered = kept or perception.fresh(clock.now())
     if safe:  # whatever is in the memory may be what ends it
         remembered = replace(perception.fresh(clock.now()), overrides=remembered.overrides)
     home = household(config, plug.capability)
@@ -182,6 +183,7 @@ def cycle_for(
         forecast=kept_forecast(store, config),
         book=Book(store, home),
         errands=(CatchUp(source, store, spread), Scoring(store)),
+        losses=losses,
     )
 
 
@@ -190,16 +192,19 @@ def state_folder(config: Config) -> Path:
     return Path(os.environ.get("STATE_DIRECTORY") or config.state.dir)
 
 
-def _remembered(store: SqliteStore) -> Memory | None:
-    """The last run's memory; one that cannot be read is said, and done without."""
+def _remembered(store: SqliteStore) -> tuple[Memory | None, tuple[Fault, ...]]:
+    """The last run's memory, and what is to be said of a store that was damaged; it is done without what is lost."""
     try:
         memory = store.load()
     except StoreError as error:
-        log.warning("%s", error)
-        return None
+        return None, _lost(*store.notices, str(error))
     if isinstance(store, KeptTwice) and store.fell_back:
-        log.warning("what was set is taken from the copy beside the store")
-    return memory
+        return memory, _lost(*store.notices, "what was set is taken from the copy beside the store")
+    return memory, _lost(*store.notices)
+
+
+def _lost(*notices: str) -> tuple[Fault, ...]:
+    return (Fault("history", "; ".join(notices)),) if notices else ()
 
 
 def kept_forecast(store: SqliteStore, config: Config) -> Forecast | None:
@@ -259,8 +264,6 @@ def run(config: Config, clock: Clock) -> None:
         starts = Starts(state_folder(config))
         safe = starts.begun(clock.now())
         left.callback(store.close)
-        for notice in store.notices:
-            log.warning("%s", notice)
         connection = connect(config)
         left.callback(connection.close)
         left.enter_context(_signals(stop, connection))

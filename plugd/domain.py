@@ -224,6 +224,8 @@ class Reading:
     current_a: float | None = None
     changed_over: str = ""
     """The topic on which somebody else was heard to order the change."""
+    nonsense: bool = False
+    """The meter tells what cannot be, again and again."""
 
 
 class Mode(StrEnum):

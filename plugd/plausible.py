@@ -14,6 +14,7 @@ from statistics import median
 from plugd.domain import Forecast, Intensity
 from plugd.errors import ForecastMalformed
 from plugd.outlook import TYPICAL_G_PER_KWH
+from plugd.units import HALF_HOUR
 
 JUMP = 4.0
 QUIET_G_PER_KWH = 40.0
@@ -57,7 +58,11 @@ def _middle(rows: Sequence[Intensity]) -> float:
 
 
 def believed(forecast: Forecast, history: Sequence[Intensity]) -> Forecast:
-    """The forecast. Raises ForecastMalformed for one that cannot be true."""
+    """The forecast. Raises ForecastMalformed for one that cannot be true, or is not of this time."""
+    last = max((row.start for row in forecast.expected), default=forecast.issued_at)
+    if last + HALF_HOUR <= forecast.issued_at:
+        times = f"it ends on {last:%Y-%m-%d} at {last:%H:%M} UTC, and it is {forecast.issued_at:%Y-%m-%d %H:%M} here"
+        raise ForecastMalformed(f"NESO's answer is not used: {times}; is the clock right?")
     why = doubt(forecast.expected, history)
     if why is not None:
         raise ForecastMalformed(f"NESO's answer is not used: it says {why}")

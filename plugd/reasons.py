@@ -11,9 +11,11 @@ from plugd.units import to_pct
 PLANNED_KWH = 0.05
 """Less than this in a session is nothing planned."""
 SHORT = 0.005
+"""A morning minimum missed by less is not spoken of: it would be "0 % short"."""
+SLOW_SHARE = 0.9
+"""Of the plug's power: a car that takes less is spoken of."""
 UNPLANNED = ("clock", "safe_mode")
 """With one of these no plan counts."""
-"""A morning minimum missed by less is not spoken of: it would be "0 % short"."""
 UNREACHED = ("plug_silent", "plug_refuses")
 """With one of these faults nothing of what is wanted may be happening."""
 UNCONTROLLED = (*UNREACHED, "relay_stuck")
@@ -70,6 +72,43 @@ def _doubt(memory: Memory) -> str:
     return " Nobody has said yet how full the battery is, so little is counted on."
 
 
+def stale_text(memory: Memory, household: Household) -> str:
+    """What is counted on where the car has fallen silent. Only for one that used to speak."""
+    told_at = memory.soc.told_at
+    since = f"{told_at.astimezone(ZoneInfo(household.timezone)):%A %H:%M}" if told_at else "long ago"
+    counted, estimated = _percent(soc.cautious(memory.soc)), _percent(memory.soc.mean)
+    return (
+        f"the car has said nothing new of how full it is since {since}; it is reckoned to be at {estimated}, and "
+        f"{counted} is counted on until it does"
+    )
+
+
+def fraction_text(memory: Memory) -> str:
+    """A word that is hardly a percentage."""
+    said = memory.soc.car_said or 0.0
+    return f"the car says it is at {to_pct(said, 2):g} %, and may mean {_percent(100.0 * said)}: see car.soc_unit"
+
+
+def _slowly(memory: Memory, household: Household) -> str:
+    """A car, or a cable, that takes less than the plug could give."""
+    most_kw, seen_kw = household.capability.power_max_kw, memory.observed_kw
+    if household.capability.modulating or seen_kw is None or seen_kw >= SLOW_SHARE * most_kw:
+        return ""
+    return f" It takes {seen_kw:.1f} kW, not {most_kw:.1f}, so more time is planned."
+
+
+def _ends(outlook: Outlook | None, memory: Memory, now: datetime, household: Household) -> str:
+    """What the plan uses where the forecast leaves off before the morning."""
+    if outlook is None or not outlook.slots:
+        return ""
+    if outlook.forecast_until is None:
+        return " There is no forecast at the moment: this plan uses the usual day."
+    tonight = next(iter(_coming(now, memory)), None)
+    if tonight is None or outlook.forecast_until >= tonight.session.end:
+        return ""
+    return f" The forecast ends at {_clock(outlook.forecast_until, household)}: the usual day counts from then on."
+
+
 def _held(action: Action, memory: Memory, household: Household) -> str:
     """Why something other than the plan has the word."""
     match action.cause:
@@ -84,7 +123,7 @@ def _held(action: Action, memory: Memory, household: Household) -> str:
         case Cause.TIMER:
             return "Charging now: were plugd to die, the plug's own timer would end an off too late."
         case Cause.GUARD:
-            return _guarded(action, household) + _doubt(memory)
+            return _guarded(action, household) + _doubt(memory) + _slowly(memory, household)
         case Cause.RESERVE:
             reserve = _percent(household.car.soc_min)
             return f"Charging now: the battery may be below the reserve of {reserve}." + _doubt(memory)
@@ -138,6 +177,7 @@ def _planned(now: datetime, action: Action, memory: Memory, household: Household
         until = f" until {_clock(stop, household)}" if stop else ""
         if not any(slot.start <= now < slot.end and slot.power_kw > 0.0 for slot in tonight.slots):
             return Status.CHARGING, f"On{until}: a relay stays on for a while once it is on.{short}"
+        short += _slowly(memory, household)
         return Status.CHARGING, f"Charging{until} at {grams}, among the cleanest hours of {nights}.{short}"
     if tonight.energy_kwh > PLANNED_KWH:
         start = _starts(now, tonight, memory)
@@ -182,11 +222,9 @@ def _decided(
             short = _shortfall(next(iter(_coming(now, memory)), None), household)
         return _STATUS[action.cause], _held(action, memory, household) + short
     status, reason = _planned(now, action, memory, household)
-    if outlook is not None and outlook.forecast_until is None:
-        reason += " There is no forecast at the moment: this plan uses the usual day."
-        if status is Status.HOLDING:
-            status = Status.WAITING_FOR_FORECAST
-    return status, reason
+    if outlook is not None and outlook.forecast_until is None and status is Status.HOLDING:
+        status = Status.WAITING_FOR_FORECAST
+    return status, reason + _ends(outlook, memory, now, household)
 
 
 def explain(

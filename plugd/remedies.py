@@ -84,6 +84,14 @@ KNOWN: dict[str, Known] = {
         "The car's state of charge makes no sense",
         "Set soc_topic, soc_json_key and soc_unit under [car] to what the car says; mosquitto_sub -v shows that.",
     ),
+    "soc_stale": Known(
+        "The car no longer says how full it is",
+        "Look whether its app or bridge still publishes to car.soc_topic; or tell how full it is here or at the hub.",
+    ),
+    "history": Known(
+        "What was kept is lost",
+        "Nothing this time. Should it happen again, replace the disk (SD card); plugd dump says what is still set.",
+    ),
     "charger_hardware": Known("The charger has failed", "Have it looked at."),
     "charger_hot": Known("The charger is too hot", "Give it air. It goes on by itself when it has cooled."),
     "charger_mains": Known("The charger finds its mains wrong", "Look at its supply: fuse, cable, voltage."),

@@ -38,6 +38,7 @@ CERTAIN_SD = 3.0
 CONFIRMED_AFTER = timedelta(seconds=60)
 FROZEN = 0.04
 """What may have flowed while the car says exactly what it said before: it may count in whole points."""
+LEAST_SAID = 0.01
 SAME, SAID_OFTEN, SAID_AGAIN = 0.02, timedelta(minutes=1), timedelta(minutes=5)
 """A car may speak every second: within the first time no word is news, and one much the same not within the second."""
 
@@ -123,6 +124,24 @@ def aged(estimate: SocEstimate, now: datetime, car: Car) -> SocEstimate:
     """With an old word of the car's no longer called the car's."""
     old = estimate.told_at is not None and (now - estimate.told_at).total_seconds() > car.soc_max_age_s
     return replace(estimate, source=CARRIED_ON) if estimate.source == CAR and old else estimate
+
+
+def is_stale(estimate: SocEstimate, now: datetime, car: Car) -> bool:
+    """Whether the car used to say how full it is, and has not since a drive; or says the same while it is charged.
+
+    Nobody has to tell, and a car that tells when it comes home need not tell again before it has left.
+    """
+    oldest = now - timedelta(seconds=car.soc_max_age_s)
+    if estimate.car_said is None or estimate.told_at is None or estimate.told_at >= oldest:
+        return False
+    driven = estimate.told_at < estimate.driven_to < oldest
+    repeats = estimate.mean - estimate.car_said > FROZEN and cautious(estimate) <= estimate.car_said + SAME
+    return driven or repeats  # see `heard`: promises are made on a word that is repeated
+
+
+def is_no_percentage(estimate: SocEstimate) -> bool:
+    """Whether the car's word may be a fraction that was taken for a percentage: nobody drives home on 1 %."""
+    return estimate.car_said is not None and 0.0 < estimate.car_said <= LEAST_SAID
 
 
 def driven(estimate: SocEstimate, drives: tuple[tuple[datetime, int], ...], car: Car) -> SocEstimate:

@@ -1,6 +1,7 @@
 """A part of the chaotic nights, a night restarted a hundred times, and any events in any order."""
 
 import random
+import re
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
@@ -15,6 +16,7 @@ from plugd.adapters.kept_twice import KeptTwice
 from plugd.book import Book
 from plugd.domain import Forecast, Intensity, Mode, SetConnected, SetMinimum, SetMode, SetSoc
 from plugd.outlook import Learned
+from plugd.remedies import KNOWN
 from plugd.units import HALF_HOUR
 from tests.chaos.__main__ import jobs, work
 from tests.chaos.night import Night, Trouble, single
@@ -31,6 +33,11 @@ def test_each_trouble_alone_is_survived_and_said(trouble: Trouble) -> None:
     outcome, _ = single(trouble)
     assert outcome.objections == ()
     assert outcome.judged is (trouble.name != "button off")
+
+
+def test_every_trouble_is_said_or_there_is_a_reason_not_to() -> None:
+    assert [trouble.name for trouble in TROUBLES if bool(trouble.says) is bool(trouble.silent)] == []
+    assert {trouble.says for trouble in TROUBLES if re.fullmatch("[a-z_]+", trouble.says)} <= KNOWN.keys() | {""}
 
 
 @pytest.mark.parametrize("job", list(jobs(NIGHTS, PAIRS, seed=90_000)), ids=str)

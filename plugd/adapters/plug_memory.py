@@ -35,6 +35,8 @@ class PlugMemory:
     """Whether it says how long it has been up: else every absence is a power cut, as far as we know."""
     nonsense: int = 0
     """How many values could not be."""
+    nonsense_run: int = 0
+    """How many words of the meter in a row had one."""
     on: bool | None = None
     on_at: datetime | None = None
     on_s: float = DAWN
@@ -125,6 +127,8 @@ class PlugMemory:
 
     def _meter(self, heard: Heard, now: datetime, now_s: float) -> None:
         """Power alone does not make the total newer: what flowed is reckoned between two totals."""
+        if heard.nonsense or heard.power_kw is not None or not heard.partial:
+            self.nonsense_run = self.nonsense_run + 1 if heard.nonsense else 0
         if heard.power_kw is not None or heard.nonsense or not heard.partial:
             self.power_kw, self.current_a, self.power_s = heard.power_kw, heard.current_a, now_s
         if heard.energy_kwh is not None or not heard.partial:
@@ -212,6 +216,7 @@ class PlugMemory:
             came_back=self.came_back,
             current_a=self.current_a if now_s - self.power_s <= FRESH_S else None,
             changed_over=self.moved_over if self.moved is not None else "",
+            nonsense=self.nonsense_run > 1,
         )
         self.moved, self.came_back = None, False
         return reading

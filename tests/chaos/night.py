@@ -41,6 +41,9 @@ SLACK = 0.01
 """Of the battery (0.5 kWh): a morning missed by less counts as kept."""
 LOOKS_S = (10.0, 60.0, 130.0)
 """The daemon looks every 10 s. Here it looks when something is due, and at these times after anything happens."""
+WITHIN = timedelta(seconds=60)
+LOOKS_ALONE = timedelta(seconds=25)
+"""A trouble alone is looked for nearly as often as on a real clock."""
 MOST_ORDERS = 14
 """Times that plugd may close the relay in a night: the plan's six, and what guard, waking and faults add."""
 
@@ -79,9 +82,11 @@ class Trouble:
     end: Callable[["Night"], None] | None = None
     lasts_min: tuple[float, float] = (5.0, 600.0)
     says: str = ""
-    """A fault's code, or words of the reason; empty where nothing is to be said."""
-    within_s: float = 120.0
-    """From its beginning in a night of its own, see `night.single`."""
+    """A fault's code, or words of the reason, that stand in `state` within `WITHIN` of when it can be known."""
+    silent: str = ""
+    """Why nothing is to be said, where nothing is."""
+    known: Callable[["Night", datetime], datetime] = lambda _, start: start
+    """When it can be known, in a night of its own that has been lived and in which it began then."""
     at_h: float = 5.0
     """When it begins in a night of its own, in hours after 14:00."""
     before: Callable[["Night"], None] | None = None
@@ -120,6 +125,10 @@ class Night:
     """A trouble waits for the relay to be as it needs it."""
     person_off: bool = False
     said: list[Said] = field(default_factory=list)
+    flowed: list[tuple[datetime, float]] = field(default_factory=list)
+    """What the plug had truly given by then, in kWh."""
+    struck_at: datetime | None = None
+    """When a trouble that waits for the relay to be as it needs it has struck."""
     objections: list[str] = field(default_factory=list)
     _events: list[tuple[datetime, int, Callable[[], None]]] = field(default_factory=list)
     _order: Iterator[int] = field(default_factory=count)
@@ -206,6 +215,20 @@ class Night:
         device = self.device
         return self.cycle is not None and self.plug.broker and not (device.silent or device.deaf)
 
+    def look_often(self, trouble: Trouble, since: datetime) -> None:
+        """From then on, nearly as often as on a real clock, until it is said."""
+
+        def again() -> None:
+            if not self.heard(trouble, since):
+                heapq.heappush(self._events, (self.clock.at + LOOKS_ALONE, next(self._order), again))
+
+        heapq.heappush(self._events, (since, next(self._order), again))
+
+    def heard(self, trouble: Trouble, since: datetime) -> list[datetime]:
+        """When something was said of it, not before it began."""
+        said = (s for s in self.said if trouble.says in s.codes or trouble.says in s.reason)
+        return [s.at for s in said if s.at >= since]
+
     # -- living -----------------------------------------------------------------------------------
 
     @property
@@ -242,6 +265,7 @@ class Night:
                 self.reach.charge(min(self.device.power_kw, self.car.most_kw), hours(after - now))
             self.device.run(after)
             self.clock.at = after
+            self.flowed.append((after, self.device.total_kwh))
             while self._events and self._events[0][0] <= after:
                 heapq.heappop(self._events)[2]()
 
@@ -328,10 +352,13 @@ def single(trouble: Trouble) -> tuple[Outcome, Night]:
         trouble.before(night)
     start = night.clock.start + timedelta(hours=trouble.at_h)
     _strike(night, trouble, start, max(trouble.lasts_min[1], 0.0))
+    if trouble.says:
+        night.look_often(trouble, start)
     night.run()
-    if trouble.says and not _was_said(night, trouble, start):
+    known = trouble.known(night, start)
+    if trouble.says and not any(at <= known + WITHIN for at in night.heard(trouble, start)):
         heard = sorted({code for said in night.said for code in said.codes})
-        night.objections.append(f"{trouble.says!r} was not said within {trouble.within_s:.0f} s; only {heard}")
+        night.objections.append(f"{trouble.says!r} was not said by a minute after {known:%H:%M:%S}; only {heard}")
     return night.outcome((trouble.name,)), night
 
 
@@ -340,10 +367,3 @@ def _strike(night: Night, trouble: Trouble, start: datetime, lasts_min: float) -
     end = trouble.end
     if end is not None:
         night.at(start + timedelta(minutes=lasts_min), lambda: end(night))
-
-
-def _was_said(night: Night, trouble: Trouble, start: datetime) -> bool:
-    until = start + timedelta(seconds=trouble.within_s)
-    return any(
-        start <= said.at <= until and (trouble.says in said.codes or trouble.says in said.reason) for said in night.said
-    )

@@ -127,7 +127,9 @@ class ChaosPlug:
     warnings: Sequence[Fault] = ()
     memory: PlugMemory = field(default_factory=lambda: PlugMemory(TIMER_S))
     wanted: Relay | None = None
-    told: list[tuple[datetime, Wanted]] = field(default_factory=list)
+    told: list[tuple[datetime, Relay]] = field(default_factory=list)
+    unheeded: list[datetime] = field(default_factory=list)
+    """Orders that were not obeyed though the plug was there."""
 
     def _hears(self) -> bool:
         return self.broker and self.device.powered and not self.device.silent
@@ -159,6 +161,8 @@ class ChaosPlug:
         if not self.device.deaf:
             self.device.told(wanted, self._timer_s(now_s))
         memory.absorb(self.device.heard(answer=not self.device.deaf), self.clock.now(), now_s)
+        if self.device.on is not wanted.on:
+            self.unheeded.append(self.clock.at)
         if self.device.deaf:
             raise PlugTimeout("plug ev-plug does not answer to its orders")
         if memory.on is not wanted.on:

@@ -3,20 +3,73 @@
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from datetime import timedelta
+from datetime import datetime, timedelta
 
 from plugd.adapters.plug_memory import PlugMemory
-from plugd.domain import Capability, SetSoc
+from plugd.domain import Capability, Fault, SetSoc
 from plugd.errors import ForecastMalformed, SolveError, StoreError
 from plugd.planner.condensed import Condensed, Shape
 from plugd.planner.exact import Exact
 from plugd.planner.problem import Problem, Solution, Solver
 from plugd.planner.qp import Attempt, Pass, Qp
+from plugd.units import next_slot
 from tests.chaos.night import Night, Trouble
 from tests.chaos.ports import down
 
-HALF_HOUR_S = 1860.0
-NIGHT_S = 14 * 3600.0
+When = Callable[[Night, datetime], datetime]
+
+
+def _after(wait_s: float) -> When:
+    """So long after it began."""
+    return lambda _, start: start + timedelta(seconds=wait_s)
+
+
+def _next_plan(_: Night, start: datetime) -> datetime:
+    """The source is asked, the solver asked, and written, once a half hour."""
+    return next_slot(start)
+
+
+def _struck(night: Night, start: datetime) -> datetime:
+    """It waited for the relay to be as it needed it."""
+    return night.struck_at or night.end
+
+
+def _unheeded(night: Night, start: datetime) -> datetime:
+    """The first order that was not obeyed."""
+    return next((at for at in night.plug.unheeded if at >= start), night.end)
+
+
+def _told_on(wait_s: float = 0.0) -> When:
+    """So long after the first switch-on that was ordered since."""
+
+    def known(night: Night, start: datetime) -> datetime:
+        since = max(start, night.struck_at or start)
+        ons = (at for at, wanted in night.plug.told if wanted.on and at >= since)
+        return next(ons, night.end) + timedelta(seconds=wait_s)
+
+    return known
+
+
+def _on(wait_s: float) -> When:
+    """So long after the relay is on."""
+
+    def known(night: Night, start: datetime) -> datetime:
+        before = [on for at, on in night.device.moves if at <= start]
+        ons = (at for at, on in night.device.moves if on and at > start)
+        return (start if before and before[-1] else next(ons, night.end)) + timedelta(seconds=wait_s)
+
+    return known
+
+
+def _given(kwh: float, wait_s: float = 0.0) -> When:
+    """So long after so much has flowed since."""
+
+    def known(night: Night, start: datetime) -> datetime:
+        before = max((total for at, total in night.flowed if at <= start), default=0.0)
+        flowed = (at for at, total in night.flowed if at > start and total - before >= kwh)
+        return next(flowed, night.end) + timedelta(seconds=wait_s)
+
+    return known
 
 
 def _source(**how: object) -> tuple[Callable[[Night], None], Callable[[Night], None]]:
@@ -81,6 +134,7 @@ def _once(night: Night, on: bool, act: Callable[[], None]) -> None:
         if not night.waits:
             return
         if night.device.on is on:
+            night.struck_at = night.clock.at
             act()
         else:
             night.later(5.0, look)
@@ -135,6 +189,7 @@ def _press(on: bool) -> Callable[[Night], None]:
             if night.clock.at < night.end - timedelta(minutes=6):
                 night.later(5.0, lambda: begin(night))
             return
+        night.struck_at = night.clock.at
         night.person_off = night.person_off or not on
         night.device.switch(on)
         night.device.timer = None
@@ -149,7 +204,13 @@ def _fight(night: Night) -> None:
 
 
 def _untold_soc(night: Night) -> None:
+    """A car that told of itself until yesterday."""
     night.tells_soc = False
+    cycle = night.cycle
+    if cycle is not None:
+        cycle.memory = replace(
+            cycle.memory, soc=replace(cycle.memory.soc, source="car", car_said=cycle.memory.soc.mean)
+        )
 
 
 def _stale_soc(night: Night) -> None:
@@ -176,6 +237,10 @@ def _unplugged(night: Night) -> None:
 
 def _plugged(night: Night) -> None:
     night.car.arrive()
+
+
+def _much_too_late(night: Night) -> None:
+    night.arrival = night.clock.start + timedelta(hours=13)
 
 
 def _late(night: Night) -> None:
@@ -302,9 +367,18 @@ def _boot_1970(night: Night) -> None:
     night.later(0.5, lambda: _restart(night))
 
 
+def _lost_store_found(night: Night) -> None:
+    _restart(night)
+    if night.cycle is not None:
+        night.cycle.losses = (Fault("history", "the store was damaged, so a new one is begun"),)
+
+
 _nothing_begins: Callable[[Night], None] = lambda night: None  # noqa: E731
 YEARS = timedelta(days=3652)
 SOON = (1.0, 20.0)
+OWN_TIME = "each of its half hours counts for its own time, and what it leaves out is the usual day"
+NOBODY = "nobody is there to say it but the last will; afterwards nothing is to be seen of it"
+SET = "somebody has set the clock: all is planned anew, and nobody has anything to do"
 HOURS = (5.0, 240.0)
 
 
@@ -313,55 +387,66 @@ def _row(name: str, row: str, pair: tuple[Callable[[Night], None], Callable[[Nig
 
 
 TROUBLES: tuple[Trouble, ...] = (
-    _row("forecast down", "Forecast API down", _source(error=down()), says="forecast", within_s=HALF_HOUR_S),
-    _row("forecast null", "null, NaN", _source(error=ForecastMalformed("null")), says="forecast", within_s=HALF_HOUR_S),
-    _row("forecast short", "200 with short list", _source(slots=8)),
-    _row("forecast empty", "200 with {}", _source(slots=0)),
-    _row("forecast shifted", "Time-shifted", _source(shift=6)),
-    _row("forecast past", "Time-shifted, past", _source(shift=-48)),
-    _row("forecast ten times", "1e9", _source(times=10.0)),
-    _row("broker away", "MQTT broker down", (_broker_away, _broker_back), says="plug_silent", within_s=130.0),
-    Trouble("broker flaps", "MQTT broker flapping", _flaps),
-    _row("plug silent", "Plug unresponsive", _device(silent=True), says="plug_silent", within_s=130.0),
-    _row("plug deaf", "Plug unresponsive", _device(deaf=True), says="plug_refuses", within_s=NIGHT_S),
-    _row("stuck off", "Stuck OFF", (_jam_when(False), _unjam), says="plug_refuses", within_s=NIGHT_S, lasts_min=HOURS),
-    _row("welded", "Stuck ON / welded", (_jam_when(True), _unjam), says="plug_refuses", within_s=NIGHT_S),
-    _row("lies on", "Says ON, is OFF", (_lie_on, _truth), says="no_current", within_s=NIGHT_S, lasts_min=HOURS),
-    _row("power nonsense", "Nonsense power", _device(says_kw=1e6)),
-    _row("power negative", "Nonsense power", _device(says_kw=-1.0)),
-    _row("total absurd", "Nonsense power", _device(says_kwh=lambda _: 1e9), says="meter", within_s=NIGHT_S),
-    _row("total large", "Nonsense power", _device(says_kwh=lambda _: 9e6), says="meter", within_s=NIGHT_S),
-    _row("total frozen", "Nonsense power, frozen", (_freeze, _thaw), says="meter", within_s=NIGHT_S),
-    _row("meter reset", "Meter total reset", (_meter_reset, _thaw)),
-    _row("power cut", "Plug power-cut", (_power_cut, _power_back), lasts_min=(0.1, 120.0), says="plug_silent"),
-    Trouble("button off", "Button pressed", _press(on=False), says="you switched it off", at_h=13.5, within_s=NIGHT_S),
+    _row("forecast down", "Forecast API down", _source(error=down()), says="forecast", known=_next_plan),
+    _row("forecast null", "null, NaN", _source(error=ForecastMalformed("null")), says="forecast", known=_next_plan),
+    _row("forecast short", "200 with short list", _source(slots=8), says="The forecast ends at", known=_next_plan),
+    _row("forecast empty", "200 with {}", _source(slots=0), says="There is no forecast", known=_next_plan),
+    _row("forecast shifted", "Time-shifted", _source(shift=6), silent=OWN_TIME),
+    _row("forecast past", "Time-shifted, past", _source(shift=-48), silent=OWN_TIME),
+    _row("forecast ten times", "1e9", _source(times=10.0), says="forecast", known=_next_plan),
+    _row("broker away", "MQTT broker down", (_broker_away, _broker_back), says="plug_silent", known=_after(60.0)),
+    Trouble("broker flaps", "MQTT broker flapping", _flaps,
+            silent="it is back before a reading is a minute old, and orders are told again"),
+    _row("plug silent", "Plug unresponsive", _device(silent=True), says="plug_silent", known=_after(60.0)),
+    _row("plug deaf", "Plug unresponsive", _device(deaf=True), says="plug_refuses", known=_unheeded),
+    _row("stuck off", "Stuck OFF", (_jam_when(False), _unjam), says="plug_refuses", known=_unheeded, lasts_min=HOURS),
+    _row("welded", "Stuck ON / welded", (_jam_when(True), _unjam), says="plug_refuses", known=_unheeded),
+    _row("lies on", "Says ON, is OFF", (_lie_on, _truth), says="no_current", known=_told_on(120.0), lasts_min=HOURS),
+    _row("power nonsense", "Nonsense power", _device(says_kw=1e6), says="meter"),
+    _row("power negative", "Nonsense power", _device(says_kw=-1.0), says="meter"),
+    _row("total absurd", "Nonsense power", _device(says_kwh=lambda _: 1e9), says="meter", known=_given(0.3)),
+    _row("total large", "Nonsense power", _device(says_kwh=lambda _: 9e6), says="meter", known=_given(0.3)),
+    _row("total frozen", "Nonsense power, frozen", (_freeze, _thaw), says="meter", known=_given(0.3)),
+    _row("meter reset", "Meter total reset", (_meter_reset, _thaw),
+         silent="it is counted on from zero, and nothing is lost"),
+    _row("power cut", "Plug power-cut", (_power_cut, _power_back), lasts_min=(0.1, 120.0), says="plug_silent",
+         known=_after(60.0)),
+    Trouble("button off", "Button pressed", _press(on=False), says="you switched it off", at_h=13.5, known=_struck),
     Trouble("button on", "Button pressed", _press(on=True), says="you switched it on"),
-    Trouble("two controllers", "Two controllers", _fight, says="fought_over", within_s=600.0),
-    Trouble("soc missing", "SOC missing", _nothing_begins, before=_untold_soc),
-    Trouble("soc stale", "SOC stale", _stale_soc),
-    Trouble("soc glitch", "SOC wrong", _glitch),
-    Trouble("soc fraction", "SOC percent vs 0-1", _fraction),
-    _row("unplugged", "Unplugged mid-slot", (_unplugged, _plugged), lasts_min=(10.0, 90.0), span_h=(7.0, 14.0)),
-    Trouble("late", "Plugged in late", _nothing_begins, before=_late),
-    Trouble("slow", "Charges slower", _nothing_begins, before=_slow),
-    _row("solver nan", "Solver NaN", _solver(lambda: Qp(_Broken(1, math.nan))), says="solver", within_s=HALF_HOUR_S),
+    Trouble("two controllers", "Two controllers", _fight, says="fought_over", known=_after(120.0)),
+    Trouble("soc missing", "SOC missing", _nothing_begins, before=_untold_soc, says="soc_stale", at_h=3.0,
+            known=_after(1800.0)),
+    Trouble("soc stale", "SOC stale", _stale_soc, says="soc_stale", known=_given(0.04 * 50.0 / 0.9, 1800.0)),
+    Trouble("soc glitch", "SOC wrong", _glitch, silent="one word that is not said again is not believed either"),
+    Trouble("soc fraction", "SOC percent vs 0-1", _fraction, says="car_soc"),
+    _row("unplugged", "Unplugged mid-slot", (_unplugged, _plugged), lasts_min=(10.0, 90.0), span_h=(7.0, 14.0),
+         says="no_current", at_h=13.5, known=_on(120.0)),
+    Trouble("late", "Plugged in late", _nothing_begins, before=_late,
+            silent="late is not yet too late: see the next one"),
+    Trouble("much too late", "Plugged in late: infeasible", _nothing_begins, before=_much_too_late, says="short of",
+            at_h=13.0),
+    Trouble("slow", "Charges slower", _nothing_begins, before=_slow, says="kW, not 2.3", known=_told_on()),
+    _row("solver nan", "Solver NaN", _solver(lambda: Qp(_Broken(1, math.nan))), says="solver", known=_next_plan),
     _row("solver wild", "Solver infeasible", _solver(lambda: Qp(_Broken(1, 2143289344.0))), says="solver",
-         within_s=HALF_HOUR_S),
+         known=_next_plan),
     _row("solver unsolved", "Solver max_iter", _solver(lambda: Qp(_Broken(7, 0.5))), says="solver",
-         within_s=HALF_HOUR_S),
-    _row("solver falls over", "Solver crashes", _solver(lambda: Qp(_Fallen)), says="solver", within_s=HALF_HOUR_S),
+         known=_next_plan),
+    _row("solver falls over", "Solver crashes", _solver(lambda: Qp(_Fallen)), says="solver", known=_next_plan),
     _row("planner waits", "Guard: ON whatever the planner says", _solver(_Lazy), before=_without_timer,
-         lasts_min=(1200.0, 1200.0), span_h=(0.0, 2.0)),
-    _row("solver raises", "Solver crashes", _solver(_Raises), says="solver", within_s=HALF_HOUR_S),
-    _row("store fails", "Disk full, read-only", _store_fails(lambda _: True), says="store", within_s=HALF_HOUR_S),
-    _row("store fails at times", "Disk I/O error", _store_fails(lambda n: n % 3 == 0)),
-    _row("store lost", "DB corrupt", (_lose_store, _restart), lasts_min=SOON),
-    _row("killed", "Process kill -9", (_kill, _restart), lasts_min=(0.1, 5.0)),
-    _row("dead for long", "Process kill -9", (_kill, _restart), lasts_min=(60.0, 600.0)),
+         lasts_min=(1200.0, 1200.0), span_h=(0.0, 2.0), says="the last safe start", known=_told_on()),
+    _row("solver raises", "Solver crashes", _solver(_Raises), says="solver", known=_next_plan),
+    _row("store fails", "Disk full, read-only", _store_fails(lambda _: True), says="store", known=_next_plan),
+    _row("store fails at times", "Disk I/O error", _store_fails(lambda n: n % 3 == 0), says="store", known=_next_plan),
+    _row("store lost", "DB corrupt", (_lose_store, _lost_store_found), lasts_min=SOON, says="history",
+         known=_after(60.0 * SOON[1])),
+    _row("killed", "Process kill -9", (_kill, _restart), lasts_min=(0.1, 5.0), silent=NOBODY),
+    _row("dead for long", "Process kill -9", (_kill, _restart), lasts_min=(60.0, 600.0), silent=NOBODY),
     _row("boot in 1970", "Clock not synced at boot", (_boot_1970, _right_clock), lasts_min=HOURS, says="clock",
-         within_s=150.0),
-    _row("clock an hour on", "Clock steps", (_step_clock(timedelta(hours=1)), _right_clock), lasts_min=SOON),
-    _row("clock an hour back", "Clock steps", (_step_clock(timedelta(hours=-1)), _right_clock), lasts_min=SOON),
-    _row("clock ten years on", "Clock steps", (_step_clock(YEARS), _right_clock), lasts_min=HOURS),
+         known=_after(30.0)),
+    _row("clock an hour on", "Clock steps", (_step_clock(timedelta(hours=1)), _right_clock), lasts_min=SOON,
+         silent=SET),
+    _row("clock an hour back", "Clock steps", (_step_clock(timedelta(hours=-1)), _right_clock), lasts_min=SOON,
+         silent=SET),
+    _row("clock ten years on", "Clock steps", (_step_clock(YEARS), _right_clock), lasts_min=HOURS, says="forecast"),
     _row("clock ten years back", "Clock steps", (_step_clock(-YEARS), _right_clock), lasts_min=HOURS, says="clock"),
 )  # fmt: skip

@@ -13,10 +13,12 @@ from plugd.adapters.mqtt import Broker, MqttConnection
 from plugd.adapters.store import SqliteStore
 from plugd.cli.log import LogLine
 from plugd.config import parse
+from plugd.cycle import LOSS_TOLD_S
 from plugd.domain import Answer, Decision, Fault, Forecast, Intensity, Memory, Status
 from plugd.journal import Journal, is_news
 from plugd.remedies import KNOWN
 from plugd.soc import unknown
+from tests.fakes import FakeClock
 
 NOW = datetime(2023, 1, 2, 22, tzinfo=UTC)
 PLUG = '[plug]\ntopic = "ev-plug"\n'
@@ -47,6 +49,20 @@ def test_one_that_cannot_be_read_does_not_stop_the_start(tmp_path: Path, caplog:
     with SqliteStore(tmp_path) as store:
         assert daemon.kept_forecast(store, parse(PLUG)) is None
     assert "forecast" in caplog.text
+
+
+def test_a_store_that_was_damaged_is_said_for_a_day(tmp_path: Path) -> None:
+    (tmp_path / "plugd.db").write_bytes(b"no database at all" * 500)
+    with SqliteStore(tmp_path) as store:
+        cycle = daemon.cycle_for(parse(PLUG), FakeClock(NOW), MqttConnection(Broker(), "test"), store)
+        (said,) = cycle.losses
+        assert said.code == "history"
+        assert "a new one is begun; the old one is" in said.text
+        assert [fault.code for fault in cycle._seen(None).faults] == ["history"]
+        cycle.began_s -= LOSS_TOLD_S
+        assert cycle._seen(None).faults == ()
+    with SqliteStore(tmp_path) as store:
+        assert daemon.cycle_for(parse(PLUG), FakeClock(NOW), MqttConnection(Broker(), "test"), store).losses == ()
 
 
 def test_the_log_says_why_and_what_fails_and_each_only_once(caplog: pytest.LogCaptureFixture) -> None:

@@ -58,6 +58,17 @@ def test_it_is_said_in_one_line_and_nothing_at_all_is_not_doubted() -> None:
     assert doubt([], USUAL) is None
 
 
+@pytest.mark.parametrize(("days", "believable"), [(0, True), (1, True), (3652, False)])
+def test_an_answer_that_is_over_already_says_that_the_clock_may_be_wrong(days: int, believable: bool) -> None:
+    here = USUAL[-1].start + HALF_HOUR + timedelta(days=days)
+    forecast = Forecast(here, "national", tuple(flat(200.0)))
+    if believable:
+        assert believed(forecast, USUAL) is forecast
+        return
+    with pytest.raises(ForecastMalformed, match=r"it ends on 2023-02-28 at 23:30 UTC.*is the clock right\?"):
+        believed(forecast, USUAL)
+
+
 def test_no_48_hours_of_four_years_of_gb_are_doubted_and_ten_times_or_a_tenth_of_them_always(neso_data: Path) -> None:
     actual = series.load(neso_data / "gb_actual_hourly_2020_2023.csv").held()
     rows = tuple(

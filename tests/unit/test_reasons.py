@@ -239,6 +239,26 @@ def test_a_soc_that_nobody_ever_told_is_said_where_it_makes_the_car_charge() -> 
     assert "Nobody" not in say(replace(never, soc=soc.told(never.soc, 0.15, NIGHT, "hub")))[1]
 
 
+def test_where_the_forecast_leaves_off_before_the_morning_it_says_from_when_on_it_is_the_usual_day() -> None:
+    def until(moment: datetime) -> str:
+        return say(remembering(), outlook=Outlook((SLOT,), moment))[1]
+
+    assert until(at(2, day=3)).endswith(" The forecast ends at 02:00: the usual day counts from then on.")
+    assert "forecast" not in until(TONIGHT.end)
+    assert "forecast" not in say(meaning(Mode.NOW), outlook=Outlook((SLOT,), at(2, day=3)))[1]
+
+
+@pytest.mark.parametrize(("seen_kw", "slow"), [(1.6, True), (2.1, False), (None, False)])
+def test_a_car_that_takes_less_than_the_plug_could_give_is_said_while_it_charges(
+    seen_kw: float | None, slow: bool
+) -> None:
+    memory = replace(remembering(), observed_kw=seen_kw)
+    text = " It takes 1.6 kW, not 2.3, so more time is planned."
+    assert (text in say(memory, at(3, 10, day=3))[1]) is slow
+    assert text not in say(memory)[1], "nothing flows yet"
+    assert text not in say(memory, at(3, 10, day=3), household=CHARGER)[1], "it was told how much"
+
+
 @pytest.mark.parametrize("coming", [IDLE, CHARGES], ids=["nothing planned", "planned for later"])
 def test_a_relay_that_only_serves_its_time_says_so(coming: SessionPlan) -> None:
     """And not that it charges among the cleanest hours: what is planned is for other hours."""

@@ -83,5 +83,7 @@ NOT_IN_A_SCENARIO = {
     "clock": "tests/unit/test_wall.py",
     "safe_mode": "tests/unit/test_safe_mode.py",
     "solver": "tests/unit/test_cycle.py",
+    "soc_stale": "tests/chaos/troubles.py",
+    "history": "tests/unit/test_daemon.py",
 }
 """And where it is tried instead."""

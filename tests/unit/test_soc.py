@@ -210,6 +210,29 @@ def test_a_word_that_does_not_move_while_energy_flows_lowers_what_is_promised_an
     assert (moved.mean, moved.sd) == (0.58, soc.TOLD_SD)
 
 
+def test_a_car_is_missed_after_a_drive_or_where_it_repeats_itself_and_nobody_who_never_tells() -> None:
+    def stale(estimate: SocEstimate, minutes: float) -> bool:
+        return soc.is_stale(estimate, NOW + timedelta(minutes=minutes), CAR)
+
+    told = known(0.5)
+    assert not stale(told, 3000.0), "it has not driven: it is as full as it said"
+    charged = soc.metered(told, reading(180, 106.9), CAR, POWER_KW)
+    assert not stale(charged, 180.0), "a car that tells when it comes home need not tell again"
+    repeated = soc.heard(charged, 0.5, NOW + timedelta(minutes=180))
+    assert stale(repeated, 180.0)
+    assert not stale(soc.heard(repeated, 0.6, NOW + timedelta(minutes=200)), 200.0)
+    driven = soc.driven(told, ((NOW + timedelta(minutes=600), 1),), CAR)
+    assert [stale(driven, minutes) for minutes in (620.0, 640.0)] == [False, True]
+    for other in (soc.unknown(NOW), soc.told(told, 0.5, NOW, "hub")):
+        assert not stale(soc.driven(other, ((NOW + timedelta(minutes=600), 1),), CAR), 3000.0)
+
+
+@pytest.mark.parametrize(("said", "odd"), [(0.0, False), (0.0062, True), (0.01, True), (0.011, False), (0.62, False)])
+def test_a_fraction_that_was_taken_for_a_percentage_is_seen(said: float, odd: bool) -> None:
+    assert soc.is_no_percentage(soc.told(known(), said, NOW, "car")) is odd
+    assert not soc.is_no_percentage(soc.told(known(), said, NOW, "hub"))
+
+
 def test_a_car_that_counts_in_whole_points_does_not_take_back_what_has_flowed() -> None:
     carried = soc.metered(known(0.5), reading(30, 101.15), CAR, POWER_KW)
     later = NOW + timedelta(minutes=30)
