@@ -109,6 +109,26 @@ def test_after_a_failure_the_pauses_grow_and_the_other_pages_come_first(tmp_path
     assert len({start for start, _ in api.asked[:4]}) == 4
 
 
+def test_looked_at_every_ten_seconds_it_asks_no_oftener_than_the_pauses_say(tmp_path: Path) -> None:
+    """The daemon looks all the time, not only when something is due."""
+    api = Api(moods=[ForecastUnavailable("no answer")] * 100)
+    with SqliteStore(tmp_path) as store:
+        catch_up = CatchUp(api, store, lambda: 1.0)
+        for seconds in range(0, 2 * 86400, 10):
+            catch_up.step(NOW + timedelta(seconds=seconds))
+    assert len(api.asked) <= 4 + 2 * 24 / 9
+
+
+def test_a_moment_from_before_the_clock_was_set_back_is_not_waited_for(tmp_path: Path) -> None:
+    api = Api()
+    with SqliteStore(tmp_path) as store:
+        catch_up = CatchUp(api, store, lambda: 0.0)
+        catch_up.step(NOW + timedelta(days=300))
+        catch_up.step(NOW)
+        catch_up.step(NOW + timedelta(seconds=2))
+    assert api.asked
+
+
 def test_an_answer_that_is_late_is_come_back_for_and_no_failure(tmp_path: Path) -> None:
     api = Api(moods=[ForecastLate("not yet")])
     with SqliteStore(tmp_path) as store:
