@@ -18,6 +18,8 @@ REBOOT_S = 60.0
 RENEWALS = 6
 """OFF is sent this many times in the dead-man's time; five times as often while it stays unanswered."""
 LEAST_TIMER_S = 1.0
+TRIFLE_S = 1e-3
+"""What is due is done so much early: moments have whole microseconds, seconds do not."""
 OVERHEARD_S = 10.0
 """A relay that moves so soon after somebody's command has obeyed it."""
 COOL_S = 600.0
@@ -185,7 +187,7 @@ class PlugMemory:
         last_s = self.on_by_s - (self.dead_man_s or 0.0)
         if due_s <= last_s:
             return due_s
-        return last_s if self.off_sent_s < last_s else -DAWN
+        return last_s if self.off_sent_s < last_s - TRIFLE_S else -DAWN
 
     def promise(self, wanted: Relay, now: datetime, now_s: float) -> None:
         """By when the timer of this off has to be over, in monotonic seconds."""

@@ -5,7 +5,7 @@ from typing import Protocol
 
 from plugd.adapters.mqtt import Message, MqttConnection, Retained
 from plugd.adapters.plug_line import CONFIRM_S, CONFIRM_TRIES, Commands, PlugLine
-from plugd.adapters.plug_memory import PlugMemory
+from plugd.adapters.plug_memory import TRIFLE_S, PlugMemory
 from plugd.adapters.plug_words import Heard
 from plugd.domain import Capability, Fault, Reading, Relay, Wanted
 from plugd.errors import PlugError, PlugFault, PlugRefused
@@ -126,7 +126,7 @@ class SwitchedPlug:
         """Repeat an OFF where due; waits for no answer. Raises PlugTimeout."""
         self._line.listen()
         due = self.due()
-        if due is None or now + timedelta(milliseconds=1) < due:
+        if due is None or now + timedelta(seconds=TRIFLE_S) < due:
             return
         self._plug.order(on=False, now_s=self._line.now()[1])
         self._line.send(self._command(Relay(on=False)))

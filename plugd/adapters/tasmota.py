@@ -10,7 +10,7 @@ from datetime import datetime, timedelta
 
 from plugd.adapters.mqtt import Message, MqttConnection, Retained
 from plugd.adapters.plug_line import CONFIRM_S, CONFIRM_TRIES, PATIENCE_S, TRIES, Commands, PlugLine
-from plugd.adapters.plug_memory import DAWN, PlugMemory
+from plugd.adapters.plug_memory import DAWN, TRIFLE_S, PlugMemory
 from plugd.adapters.tasmota_words import hear, pulse_for
 from plugd.domain import Capability, Fault, Reading, Relay, Wanted
 from plugd.errors import PlugFault, PlugRefused
@@ -100,12 +100,12 @@ class Tasmota:
         """Repeat an OFF, or look after the timer, where due; waits for no answer. Raises PlugTimeout."""
         self._line.listen()
         due = self.due()
-        if due is None or now + timedelta(milliseconds=1) < due:
+        if due is None or now + timedelta(seconds=TRIFLE_S) < due:
             return
         now_s = self._line.now()[1]
-        if self._arming_s() <= now_s + 0.001:
+        if self._arming_s() <= now_s + TRIFLE_S:
             self._line.send(self._settings())
-        if self._plug.last_renewal_s(self._wanted) <= now_s + 0.001:
+        if self._plug.last_renewal_s(self._wanted) <= now_s + TRIFLE_S:
             self._plug.order(on=False, now_s=now_s)
             self._line.send((self._command(Relay(on=False)),))
 

@@ -1,6 +1,7 @@
 """The Tasmota plug: what it says, who moved it, and what is sent to it."""
 
 import json
+import math
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -400,3 +401,16 @@ def test_no_off_where_the_timer_cannot_be_set(bench: Bench) -> None:
     with pytest.raises(PlugFault, match="not switched off"):
         plug.set(Relay(on=False))
     clock.close()
+
+
+def test_the_last_renewal_is_sent_once_even_where_it_comes_a_microsecond_early() -> None:
+    """Moments are told in whole microseconds: what is due then is due a trifle before its seconds say."""
+    plug = PlugMemory(dead_man_s=600.0, on=False)
+    plug.on_by_s = 1800.00000073
+    off = Relay(on=False)
+    due_s = plug.on_by_s - 600.0
+    plug.order(on=False, now_s=due_s - 50.0)
+    plug.off_s = plug.off_sent_s
+    assert plug.last_renewal_s(off) == due_s
+    plug.order(on=False, now_s=due_s - 7e-7)
+    assert plug.last_renewal_s(off) == math.inf
