@@ -28,7 +28,7 @@ from plugd.errors import SolveError
 from plugd.guard import believed_kw
 from plugd.outlook import Learned
 from plugd.perception import perceive
-from plugd.planner import hold, nights, taper
+from plugd.planner import hold, nights, taper, window
 from plugd.planner.exact import Exact
 from plugd.planner.problem import Solver
 from plugd.relay import RelayHistory, delay_s, realise
@@ -136,7 +136,7 @@ class Controller:
         power_kw = believed_kw(memory.observed_kw, house.capability.power_max_kw)
         parts = nights.layout(coming, now, energy_kwh, power_kw, house, unsure_kwh=unsure_kwh)
         asked = nights.problem(parts, outlook, energy_kwh, memory.plan, house, history)
-        held = hold.held(asked, parts, now, house)
+        held = hold.held(window.preferred(asked, parts, outlook, history, house), parts, now, house)
         try:
             stated, solution = taper.solve(self.solver, held, car)
         except SolveError:

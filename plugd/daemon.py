@@ -14,6 +14,7 @@ from types import FrameType
 
 from plugd import __version__, perception
 from plugd.adapters.allocator import Allocator
+from plugd.adapters.house_mark import house_mark
 from plugd.adapters.hub import MqttHub, Topics
 from plugd.adapters.kept_twice import KeptTwice
 from plugd.adapters.mqtt import Broker, MqttConnection
@@ -167,7 +168,7 @@ def cycle_for(
     if safe:  # whatever is in the memory may be what ends it
         remembered = replace(perception.fresh(clock.now()), overrides=remembered.overrides)
     home = household(config, plug.capability)
-    seed = f"{config.name}/{config.plug.topic}"
+    seed = house_mark(state_folder(config))
     source = source_for(config, patience(clock=clock))
     spread = random.Random(seed).random
     return Cycle(

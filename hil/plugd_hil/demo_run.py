@@ -12,6 +12,7 @@ from pathlib import Path
 from zoneinfo import ZoneInfo
 
 from plugd import config as configuration
+from plugd.adapters.house_mark import drawn
 from plugd.errors import PlugdError, UsageError
 from plugd.series import IntensitySeries, load
 from plugd.units import require_utc
@@ -167,6 +168,7 @@ def _configured(
 ) -> Path:
     """The daemon's configuration, written down. `ports`: broker and forecasts; `plug`: what the stub said of itself."""
     config, token = folder / "plugd.toml", folder / "token"
+    drawn(state, "ev/ev-plug")
     token.write_text("demo\n", encoding="utf-8")
     token.chmod(0o600)
     broker_port, neso_port = ports

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from plugd import config as configuration
+from plugd.adapters.house_mark import drawn
 from plugd.adapters.mqtt import Broker, MqttConnection, Retained
 from plugd.errors import PlugdError
 from plugd_hil.broker import HOST, running_broker
@@ -92,6 +93,7 @@ class House:
         )  # fmt: skip
         tables = _tables(self.scenario, self._broker.port, neso["port"], plug, self._state)
         (self.folder / "plugd.toml").write_text(toml(tables), encoding="utf-8")
+        drawn(self._state, "ev/ev-plug")
         configuration.load(self.folder / "plugd.toml")
         self._plugd()
         if self._conductor is not None:

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from plugd import daemon
+from plugd.adapters.house_mark import FILE, house_mark
 from plugd.adapters.mqtt import Broker, MqttConnection
 from plugd.adapters.store import SqliteStore
 from plugd.cli.log import LogLine
@@ -53,8 +54,9 @@ def test_one_that_cannot_be_read_does_not_stop_the_start(tmp_path: Path, caplog:
 
 def test_a_store_that_was_damaged_is_said_for_a_day(tmp_path: Path) -> None:
     (tmp_path / "plugd.db").write_bytes(b"no database at all" * 500)
+    config = parse(f'{PLUG}[state]\ndir = "{tmp_path}"\n')
     with SqliteStore(tmp_path) as store:
-        cycle = daemon.cycle_for(parse(PLUG), FakeClock(NOW), MqttConnection(Broker(), "test"), store)
+        cycle = daemon.cycle_for(config, FakeClock(NOW), MqttConnection(Broker(), "test"), store)
         (said,) = cycle.losses
         assert said.code == "history"
         assert "a new one is begun; the old one is" in said.text
@@ -62,7 +64,20 @@ def test_a_store_that_was_damaged_is_said_for_a_day(tmp_path: Path) -> None:
         cycle.began_s -= LOSS_TOLD_S
         assert cycle._seen(None).faults == ()
     with SqliteStore(tmp_path) as store:
-        assert daemon.cycle_for(parse(PLUG), FakeClock(NOW), MqttConnection(Broker(), "test"), store).losses == ()
+        assert daemon.cycle_for(config, FakeClock(NOW), MqttConnection(Broker(), "test"), store).losses == ()
+
+
+def test_houses_set_up_alike_start_at_other_times_and_each_keeps_its_own_over_restarts(tmp_path: Path) -> None:
+    def seed(folder: Path) -> str:
+        config = parse(f'{PLUG}[state]\ndir = "{folder}"\n')
+        with SqliteStore(folder) as store:
+            return daemon.cycle_for(config, FakeClock(NOW), MqttConnection(Broker(), "test"), store).controller.seed
+
+    mine, yours = tmp_path / "mine", tmp_path / "yours"
+    assert seed(mine) == seed(mine) != seed(yours) == seed(yours)
+    (mine / FILE).write_bytes(b"torn")
+    assert seed(mine) == seed(mine) != "torn"
+    assert house_mark(Path("/dev/null")) != house_mark(Path("/dev/null")), "nothing is kept there, and nothing fails"
 
 
 def test_the_log_says_why_and_what_fails_and_each_only_once(caplog: pytest.LogCaptureFixture) -> None:
