@@ -76,6 +76,10 @@ KNOWN: dict[str, Known] = {
         "Something else switches this plug",
         "Stop the other one: an automation, a timer, an app. One plug wants one controller.",
     ),
+    "taken_over": Known(
+        "Another program has plugd's place at the broker",
+        "Stop the other one: a second plugd, or a program with the same client id; or give them different names.",
+    ),
     "safe_mode": Known(
         "It has ended again and again",
         "Look at the log for what ends it, and send that to whoever keeps plugd. Meanwhile it charges from 23 to 6.",

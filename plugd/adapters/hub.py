@@ -72,7 +72,11 @@ class MqttHub:
     @property
     def warnings(self) -> Sequence[Fault]:
         """What a person should mend at the hub's end, though plugd works."""
-        return (self._car_unheard,) if self._car_unheard else ()
+        found = [self._car_unheard] if self._car_unheard else []
+        if self._mqtt.twin.pushed_out:
+            text = f"another program calls itself {self._mqtt.name} at the broker: each pushes the other out"
+            found.append(Fault("taken_over", f"{text}, and this one stays away for ever longer"))
+        return tuple(found)
 
     def commands(self) -> Sequence[Command]:
         """What arrived since the last call. Retained messages are old by nature, and never obeyed."""

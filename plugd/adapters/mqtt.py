@@ -31,6 +31,7 @@ from plugd.adapters.mqtt_client import (
     subscribe,
     trouble,
 )
+from plugd.adapters.twin import Twin
 
 __all__ = ["Broker", "Mailbox", "Message", "MqttConnection", "Retained"]
 
@@ -46,7 +47,7 @@ log = logging.getLogger(__name__)
 class MqttConnection:
     """Keeps one connection to the broker, MQTT 5 or else 3.1.1. A `plugd.ports.Inbox` over all its mailboxes.
 
-    Nothing here raises for a lost connection: `connected`, `session`, `refusal` and `taken_over` tell.
+    Nothing here raises for a lost connection: `connected`, `session`, `refusal` and `twin` tell.
     """
 
     def __init__(
@@ -65,8 +66,8 @@ class MqttConnection:
         """How many connections were made: who keeps state at the broker tells it again when this grows."""
         self.refusal: str | None = None
         """Why there is no connection, in words; None while there is one."""
-        self.taken_over = False
-        """Another client with our client id has pushed us out."""
+        self.twin = Twin()
+        """Another client with our client id, which pushes us out."""
         self.objections: dict[str, str] = {}
         """Topics that the broker refuses us or that nobody listens to, and why (MQTT 5, QoS 1)."""
         self._will = will
@@ -75,7 +76,8 @@ class MqttConnection:
         self._closing = threading.Event()
         self._version = V5
         self._client: Client | None = None
-        self._answered = False
+        self._answered = self._told = False
+        self._made_s = 0.0
         self._sent: dict[int, str] = {}
         self._acks: dict[int, ReasonCode] = {}
         self._flush_topic = f"plugd/clock/{name}"
@@ -163,7 +165,7 @@ class MqttConnection:
         shortest_s, longest_s = self._retry_s
         delay_s = shortest_s / 2.0
         while not self._closing.is_set():
-            before, self._answered = self.session, False
+            before, self._answered, self._told = self.session, False, False
             try:
                 self._stay()
             except (OSError, ValueError, LookupError, struct.error, MQTTException) as error:
@@ -177,7 +179,19 @@ class MqttConnection:
             self._client = None
             self._lost()
             delay_s = shortest_s if self.session > before else min(2.0 * delay_s, longest_s)
-            self._closing.wait(longest_s if self.taken_over else delay_s)
+            pushed = self._pushed_out(self.session > before)
+            wait_s = 0.0 if self.twin.suspected else delay_s
+            self._closing.wait(self.twin.away_s(longest_s) if pushed else wait_s)
+
+    def _pushed_out(self, made: bool) -> bool:
+        """Whether the connection that has just ended, if one was `made`, has ended for another of our name."""
+        if not made:
+            self.twin.not_made()
+            return False
+        if not self.twin.ended(time.monotonic() - self._made_s, self._told):
+            return False
+        self._trouble(f"another program is at {self.broker} as {self.name}, and pushes this one out; stop one of them")
+        return True
 
     def _stay(self) -> None:
         """Connect, and serve the connection until it ends. Raises OSError where there is none to be had."""
@@ -192,6 +206,8 @@ class MqttConnection:
         while client.loop(timeout=1.0) is MQTTErrorCode.MQTT_ERR_SUCCESS:
             if not self._answered and time.monotonic() - asked_s > ANSWER_S:
                 return  # the client is dropped, and its socket with it
+            if self.connected:
+                self.twin.lasting(time.monotonic() - self._made_s)
 
     def _on_connect(
         self, client: Client, _userdata: Any, _flags: ConnectFlags, reason: ReasonCode, _properties: Any
@@ -208,7 +224,7 @@ class MqttConnection:
             filters[self._flush_topic] = Retained.LIVE
         if filters:
             subscribe(client, self._version, filters)
-        self.refusal, self.taken_over = None, False
+        self.refusal, self._made_s = None, time.monotonic()
         self.session += 1
         self.connected = True
         log.info("connected to the broker at %s", self.broker)
@@ -217,9 +233,7 @@ class MqttConnection:
     def _on_disconnect(
         self, _client: Client, _userdata: Any, flags: DisconnectFlags, reason: ReasonCode, _properties: Any
     ) -> None:
-        if flags.is_disconnect_packet_from_server and reason.value == TAKEN_OVER:
-            self.taken_over = True
-            self._trouble(f"another program is at {self.broker} as {self.name}; stop one of the two")
+        self._told = flags.is_disconnect_packet_from_server and reason.value == TAKEN_OVER
         self._lost()
 
     def _on_message(self, _client: Client, _userdata: Any, message: MQTTMessage) -> None:
