@@ -1,5 +1,7 @@
 """The ledger as the cycle keeps it: a half hour is opened, filled, closed, and a day later made final."""
 
+from bisect import bisect_right
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from datetime import date, datetime, timedelta
 
@@ -17,6 +19,16 @@ KEPT_NIGHTS = 35
 """Nights at hand; older ones count in the total only."""
 
 
+def of_this_time(rows: Sequence[HalfHour], now: datetime) -> tuple[HalfHour, ...]:
+    """The half hours without those of a clock that ran ahead: they lie beyond a gap, and now lies in it.
+
+    They stay where they are kept: should the clock be wrong now, they are the true ones.
+    """
+    count = bisect_right(rows, now, key=lambda row: row.start)
+    beyond_gap = 0 < count < len(rows) and rows[count].start - rows[count - 1].start > LONGEST_GAP
+    return tuple(rows[:count] if beyond_gap else rows)
+
+
 @dataclass(slots=True)
 class Book:
     """One household's ledger. `note` is called at every step; it writes once a half hour."""
@@ -31,6 +43,7 @@ class Book:
     """Saved in nights that are no longer at hand."""
     loaded: bool = False
     looked_at: datetime | None = None
+    _noted: datetime | None = None
     _relay_on: bool | None = None
     _meter_kwh: float | None = None
     _metered_at: datetime | None = None
@@ -39,7 +52,7 @@ class Book:
 
     def note(self, now: datetime, reading: Reading | None, decision: Decision, memory: Memory) -> None:
         """Enter what has flowed and moved since the last call. Raises StoreError; it is entered with the next then."""
-        self._load()
+        self._load(now)
         if self.rows and now < self.rows[-1].start:
             return  # the clock was set back: what is entered stands until it has caught up
         self._open(now, decision, memory)
@@ -78,15 +91,21 @@ class Book:
 
     # -- entering ---------------------------------------------------------------------------------
 
-    def _load(self) -> None:
-        if self.loaded:
+    def _load(self, now: datetime) -> None:
+        """What is kept, at first and when time has jumped: then other half hours may be of this time."""
+        jumped = self._noted is not None and not -LONGEST_GAP <= now - self._noted <= LONGEST_GAP
+        if self.loaded and not jumped:
+            self._noted = now
             return
-        self.rows = list(self.books.half_hours())
+        if self._unwritten:
+            self._enter_all()
+        self.rows = list(of_this_time(self.books.half_hours(), now))
+        self.nights, self.older_g = {}, 0.0
         self._changed = {row.night for row in self.rows}
         self._account()
         if self.rows:
             self._meter_kwh, self._metered_at = self.rows[-1].meter_kwh, self.rows[-1].metered_at
-        self.loaded = True
+        self.loaded, self._noted = True, now
 
     def _open(self, now: datetime, decision: Decision, memory: Memory) -> None:
         """Open the half hour under way and those slept through; keep the open one's intensity as last known."""
@@ -134,8 +153,10 @@ class Book:
 
     def _write(self) -> None:
         """Write what has changed, once something other than the open half hour has."""
-        if not self._unwritten - {self.rows[-1].start}:
-            return
+        if self._unwritten - {self.rows[-1].start}:
+            self._enter_all()
+
+    def _enter_all(self) -> None:
         self.books.enter(tuple(row for row in self.rows if row.start in self._unwritten))
         self._unwritten.clear()
 

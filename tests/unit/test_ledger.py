@@ -332,6 +332,44 @@ def test_a_clock_set_back_overwrites_nothing() -> None:
     assert book_of(room.cycle).known()[0] == before
 
 
+@pytest.mark.parametrize("restarts", [False, True])
+def test_a_clock_that_ran_ahead_and_was_set_right_does_not_stop_the_ledger(restarts: bool) -> None:
+    """For hours it was weeks ahead. What flowed meanwhile is entered over the true time, by the meter's total."""
+    days = 20
+    shelf = Shelf()
+    room = housed(shelf)
+    room.run(START + timedelta(hours=6))
+    room.step(START + timedelta(days=days, hours=6))
+    room.run(START + timedelta(days=days, hours=8))
+    ahead = {start: r for start, r in shelf.kept.items() if start > START + timedelta(days=days)}
+    assert ahead
+    room.clock.at = START + timedelta(hours=8)
+    room.plug.ran_to = None
+    if restarts:
+        room.cycle.book = Book(shelf, HOME)
+    room.run(START + timedelta(hours=18))
+    rows, nights = book_of(room.cycle).known()
+    assert [r.start for r in rows] == [START + k * HALF_HOUR for k in range(len(rows))], "no half hour is left out"
+    assert rows[-1].start >= START + timedelta(hours=17, minutes=30)
+    assert sum(r.kwh for r in rows) == pytest.approx(room.plug.energy_kwh, abs=0.1)
+    assert max(night.day for night in nights) <= (START + timedelta(days=2)).date()
+    assert ahead.keys() <= shelf.kept.keys(), "nothing is taken out of the store: it may have been right after all"
+
+
+def test_a_clock_set_back_into_a_time_without_plugd_and_set_right_again_loses_nothing() -> None:
+    shelf = Shelf()
+    room = housed(shelf)
+    room.run(START + timedelta(hours=3))
+    room.step(START + timedelta(days=30))
+    room.run(START + timedelta(days=30, hours=2))
+    before = book_of(room.cycle).known()[0]
+    room.step(START + timedelta(days=12))
+    room.step(START + timedelta(days=30, hours=10, minutes=30))
+    room.run(START + timedelta(days=30, hours=11))
+    kept = {r.start: r for r in book_of(room.cycle).known()[0]}
+    assert all(kept[r.start].kwh >= r.kwh for r in before)
+
+
 def test_an_arrival_that_was_told_is_entered() -> None:
     shelf = Shelf()
     book = Book(shelf, HOME)
