@@ -10,17 +10,14 @@ from contextlib import suppress
 from datetime import datetime, timedelta
 from pathlib import Path
 
-from pydantic import TypeAdapter, ValidationError
-
-from plugd.adapters.store import SqliteStore
+from plugd.adapters import frozen_json
+from plugd.adapters.store import SqliteStore, worded
 from plugd.domain import Memory
 from plugd.errors import StoreError
 
 COPY, OLDER = "memory.json", "memory.1.json"
 EVERY = timedelta(hours=2)
 """Of the plan; what people say is copied at once."""
-
-_MEMORY = TypeAdapter(Memory)
 
 
 def replaced(path: Path, body: bytes) -> None:
@@ -93,11 +90,11 @@ class KeptTwice(SqliteStore):
         due = self._copied_at is None or (made_at is not None and abs(made_at - self._copied_at) >= EVERY)
         if said == self._said and not due:
             return
-        path = self._folder / COPY
+        path, body = self._folder / COPY, worded(memory)
         try:
             with suppress(FileNotFoundError):
                 path.rename(self._folder / OLDER)
-            replaced(path, sealed(_MEMORY.dump_json(memory)))
+            replaced(path, sealed(body))
         except OSError as error:
             raise StoreError(f"{path}: {error.strerror}; make room, and check its owner and the card") from error
         self._said, self._copied_at = said, made_at or self._copied_at
@@ -108,6 +105,6 @@ class KeptTwice(SqliteStore):
             body = opened(self._folder / name)
             if body is None:
                 continue
-            with suppress(ValidationError):
-                return _MEMORY.validate_json(body)
+            with suppress(ValueError):
+                return frozen_json.read(Memory, body)
         return None

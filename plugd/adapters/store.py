@@ -10,9 +10,7 @@ from datetime import date, datetime
 from pathlib import Path
 from typing import Any, Self, TypeVar
 
-from pydantic import TypeAdapter, ValidationError
-
-from plugd.adapters import store_past
+from plugd.adapters import frozen_json, store_past
 from plugd.adapters.store_file import StoreFile
 from plugd.adapters.store_past import Day, Past, epoch_s, moment
 from plugd.domain import Forecast, Intensity, Memory, Outlook, PastRow, Record
@@ -56,8 +54,6 @@ LEDGER = ", ".join(LEDGER_COLUMNS)
 _TIMES = ("start", "arrival", "session_end", "metered_at")
 
 Found = TypeVar("Found")
-_MEMORY = TypeAdapter(Memory)
-_RECORD = TypeAdapter(Record)
 
 
 class SqliteStore:
@@ -71,7 +67,7 @@ class SqliteStore:
         """Raises StoreError, AlreadyRunning."""
         self._file = StoreFile(folder, MIGRATIONS, hold)
         self._db = self._file.db
-        self._saved: bytes | None = None
+        self._saved: Memory | None = None
 
     @property
     def notices(self) -> tuple[str, ...]:
@@ -95,31 +91,27 @@ class SqliteStore:
         if row is None:
             return None
         try:
-            body = zlib.decompress(row[0])
-            memory = _MEMORY.validate_json(body)
-        except (zlib.error, TypeError, ValidationError) as error:
+            memory = frozen_json.read(Memory, zlib.decompress(row[0]))
+        except (zlib.error, TypeError, ValueError) as error:
             raise StoreError(f"{self._file.path}: the saved memory cannot be read; plugd begins without it") from error
-        self._saved = body
+        self._saved = memory
         return memory
 
     def save(self, memory: Memory) -> None:
         """Keep the memory, on the card when this returns; one unchanged costs no write. Raises StoreError."""
-        body = _MEMORY.dump_json(memory)
-        if body == self._saved:
+        if memory == self._saved:
             return
-        try:
-            same = _MEMORY.validate_json(body) == memory
-        except ValidationError:
-            same = False
-        if not same:  # not-a-number, say: the next start could not read it, so the last good one stays
-            raise StoreError("the memory holds a value that cannot be saved; the last saved one is kept")
+        body = worded(memory)
         with self._file.writing("FULL"):
             self._db.execute("INSERT OR REPLACE INTO memory VALUES (1, ?)", [zlib.compress(body)])
-        self._saved = body
+        self._saved = memory
 
     def append(self, record: Record) -> None:
         """Add a line to the log. Raises StoreError."""
-        body = _RECORD.dump_json(record).decode()
+        try:
+            body = frozen_json.dump(record).decode()
+        except ValueError as error:
+            raise StoreError("a line of the log holds a value that cannot be saved; it is left out") from error
         with self._file.writing("NORMAL"):
             row = self._db.execute("INSERT INTO record (at, body) VALUES (?, ?)", [epoch_s(record.at), body])
             self._db.execute("DELETE FROM record WHERE id <= ?", [(row.lastrowid or 0) - MOST_RECORDS])
@@ -131,8 +123,8 @@ class SqliteStore:
                 "SELECT body FROM record WHERE at >= ? ORDER BY at, id", [epoch_s(since)]
             ).fetchall()
         try:
-            return tuple(_RECORD.validate_json(body) for (body,) in rows)
-        except ValidationError as error:
+            return tuple(frozen_json.read(Record, body) for (body,) in rows)
+        except ValueError as error:
             raise StoreError(f"{self._file.path}: the log cannot be read; it was written by another plugd") from error
 
     def keep(self, forecast: Forecast) -> None:
@@ -223,6 +215,18 @@ class SqliteStore:
                 return read()
         except store_past.UNREADABLE as error:
             raise StoreError(f"{self._file.path}: a kept forecast cannot be read; the next one will do") from error
+
+
+def worded(memory: Memory) -> bytes:
+    """As JSON. Raises StoreError where the next start could not read it: the last good one is to stay."""
+    try:
+        body = frozen_json.dump(memory)
+        same = frozen_json.read(Memory, body) == memory
+    except ValueError:  # not-a-number, say
+        same = False
+    if not same:
+        raise StoreError("the memory holds a value that cannot be saved; the last saved one is kept")
+    return body
 
 
 def _ledger_row(row: HalfHour) -> list[object]:
