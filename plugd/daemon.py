@@ -11,6 +11,7 @@ from datetime import timedelta
 from importlib.util import find_spec
 from pathlib import Path
 from types import FrameType
+from typing import TYPE_CHECKING
 
 from plugd import __version__, perception
 from plugd.adapters.allocator import Allocator
@@ -29,8 +30,8 @@ from plugd.adapters.switched import SwitchedPlug
 from plugd.adapters.systemd import Supervisor
 from plugd.adapters.tasmota import Tasmota
 from plugd.book import Book
-from plugd.config import Config, household
-from plugd.config.whole import MODULATING
+from plugd.config import household
+from plugd.config.reading import MODULATING
 from plugd.controller import Controller
 from plugd.cycle import Cycle
 from plugd.domain import Capability, Decision, Fault, Forecast, Memory
@@ -44,6 +45,9 @@ from plugd.ports import Clock, Inbox, Plug, Tended
 from plugd.scoring import Scoring
 from plugd.units import kw_of
 
+if TYPE_CHECKING:
+    from plugd.config import Config
+
 BROKER_PATIENCE_S = 10.0
 """How long a start waits for the broker before it goes on without."""
 
@@ -55,7 +59,7 @@ CAN_PLAN_S = 1.5
 log = logging.getLogger("plugd")
 
 
-def connect(config: Config, client: str = "") -> MqttConnection:
+def connect(config: "Config", client: str = "") -> MqttConnection:
     """The one MQTT connection, not yet begun. The daemon's has a last will; give another `client` a name."""
     broker = config.broker
     return MqttConnection(
@@ -72,12 +76,12 @@ def connect(config: Config, client: str = "") -> MqttConnection:
     )
 
 
-def base_topic(config: Config) -> str:
+def base_topic(config: "Config") -> str:
     """Where this plugd's topics begin."""
     return f"{config.broker.topic}/{config.name}"
 
 
-def capability_of(config: Config) -> Capability:
+def capability_of(config: "Config") -> Capability:
     """What the configured plug can be told, without asking it."""
     plug, can = config.plug, config.can
     if plug.kind not in MODULATING:
@@ -91,7 +95,7 @@ def capability_of(config: Config) -> Capability:
     return whole_amps(capability, plug.mains_voltage_v) if plug.kind == "openevse" else capability
 
 
-def plug_for(config: Config, connection: MqttConnection, clock: Clock) -> Plug:
+def plug_for(config: "Config", connection: MqttConnection, clock: Clock) -> Plug:
     """The plug of the configured kind. Raises ConfigError for one whose libraries are not installed."""
     plug = config.plug
     topic = plug.topic or ""
@@ -106,11 +110,12 @@ def plug_for(config: Config, connection: MqttConnection, clock: Clock) -> Plug:
         case "can_elcon":
             return _can_charger(config, clock=clock)
         case kind:
-            words = replace(PRESETS[kind], **plug.mqtt.model_dump(exclude_none=True))
+            set_here = {name: word for name, word in vars(plug.mqtt).items() if word is not None}
+            words = replace(PRESETS[kind], **set_here)
             return SwitchedPlug(connection, clock, topic, Plain(topic, words), plug.power_kw)
 
 
-def _can_charger(config: Config, clock: Clock) -> Plug:
+def _can_charger(config: "Config", clock: Clock) -> Plug:
     """The charger on CAN. Raises ConfigError without its libraries, its battery's limits, or a DBC that was named."""
     if missing := [name for name in ("can", "cantools", "msgpack", "serial") if find_spec(name) is None]:
         remedy = "pip install 'plugd[can]', or all of requirements.lock"
@@ -120,7 +125,7 @@ def _can_charger(config: Config, clock: Clock) -> Plug:
     return charger(config, capability_of(config), clock=clock)
 
 
-def source_for(config: Config, wait: Wait = to_the_end) -> Neso:
+def source_for(config: "Config", wait: Wait = to_the_end) -> Neso:
     """The source for the configured place; `wait` is how long its answers are waited for."""
     home = config.home
     return Neso(config.forecast.base_url, home.region_id, home.postcode, wait=wait)
@@ -137,7 +142,7 @@ def patience(clock: Clock) -> Wait:
     return wait
 
 
-def solver_for(config: Config) -> Solver:
+def solver_for(config: "Config") -> Solver:
     """OSQP, in a process of its own unless the configuration wants it here."""
     if config.planner.child:
         return PlannerChild(CAN_PLAN_S) if config.plug.kind == "can_elcon" else PlannerChild()
@@ -146,7 +151,7 @@ def solver_for(config: Config) -> Solver:
     return Qp()
 
 
-def hub_for(config: Config, connection: MqttConnection, plug: Plug) -> MqttHub:
+def hub_for(config: "Config", connection: MqttConnection, plug: Plug) -> MqttHub:
     """The hub's end of the connection."""
     topics = Topics(
         base=base_topic(config),
@@ -159,7 +164,7 @@ def hub_for(config: Config, connection: MqttConnection, plug: Plug) -> MqttHub:
 
 
 def cycle_for(
-    config: Config, clock: Clock, connection: MqttConnection, store: SqliteStore, *, safe: bool = False
+    config: "Config", clock: Clock, connection: MqttConnection, store: SqliteStore, *, safe: bool = False
 ) -> Cycle:
     """The cycle with its ports, and the memory of the last run. `safe`: of that only what people have set."""
     plug = plug_for(config, connection, clock)
@@ -188,7 +193,7 @@ def cycle_for(
     )
 
 
-def state_folder(config: Config) -> Path:
+def state_folder(config: "Config") -> Path:
     """Where the daemon keeps its state: systemd's folder for it, else the configured one."""
     return Path(os.environ.get("STATE_DIRECTORY") or config.state.dir)
 
@@ -208,7 +213,7 @@ def _lost(*notices: str) -> tuple[Fault, ...]:
     return (Fault("history", "; ".join(notices)),) if notices else ()
 
 
-def kept_forecast(store: SqliteStore, config: Config) -> Forecast | None:
+def kept_forecast(store: SqliteStore, config: "Config") -> Forecast | None:
     """The last one kept, if it can be read and is for the configured place."""
     try:
         forecast = store.latest_forecast()
@@ -241,7 +246,7 @@ def _signals(stop: Stop, connection: MqttConnection) -> Iterator[None]:
             signal.signal(signum, handler)
 
 
-def _told(config: Config) -> str:
+def _told(config: "Config") -> str:
     """What it runs for, on one line."""
     plug, broker, home = config.plug, config.broker, config.home
     where = config.can.channel if plug.kind == "can_elcon" else plug.topic
@@ -257,7 +262,7 @@ def ailment(decision: Decision | None, connection: MqttConnection) -> str | None
     return None if connection.alive else "the thread of the broker's connection has ended"
 
 
-def run(config: Config, clock: Clock) -> None:
+def run(config: "Config", clock: Clock) -> None:
     """Run until a signal. Raises ConfigError, AlreadyRunning, StoreError before anything is switched."""
     stop, allocator = Stop(), Allocator()
     with ExitStack() as left:

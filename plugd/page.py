@@ -8,15 +8,18 @@ from datetime import datetime, timedelta
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from plugd.adapters.hub import state
 from plugd.adapters.store import SqliteStore
-from plugd.config import Config
 from plugd.config import token as secret_token
 from plugd.cycle import Cycle
 from plugd.errors import PlugdError, StoreError
 from plugd.ports import Inbox
 from plugd.score import LeadScore, scores
+
+if TYPE_CHECKING:
+    from plugd.config import Config
 
 log = logging.getLogger("plugd")
 
@@ -26,7 +29,7 @@ SCORED = timedelta(days=7)
 
 
 @contextmanager
-def opened_page(config: Config, folder: Path, cycle: Cycle, connection: Inbox) -> Iterator[Inbox]:
+def opened_page(config: "Config", folder: Path, cycle: Cycle, connection: Inbox) -> Iterator[Inbox]:
     """The page beside the cycle, and where to wait for messages of both. A page that cannot be is only said."""
     clock, web, book = cycle.clock, config.web, cycle.book
     if not web.enabled or book is None:

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 from plugd import daemon
-from plugd.config import load
+from plugd.config.handed import load
 from plugd.errors import PlugdError
 from plugd_hil.conductor import Participant
 

@@ -1,16 +1,20 @@
 """The charger on CAN as the configuration has it. Imported only where one is configured: its libraries are an extra."""
 
+from typing import TYPE_CHECKING
+
 from plugd.adapters.can_elcon import CanElcon, identifiers
 from plugd.adapters.can_link import CanLink, Place
 from plugd.adapters.can_soc import soc_signal
 from plugd.adapters.elcon_words import Limits
-from plugd.config import Config
 from plugd.domain import Capability
 from plugd.errors import ConfigError
 from plugd.ports import Clock
 
+if TYPE_CHECKING:
+    from plugd.config import Config
 
-def charger(config: Config, capability: Capability, clock: Clock) -> CanElcon:
+
+def charger(config: "Config", capability: Capability, clock: Clock) -> CanElcon:
     """The charger of `[can]`. Raises ConfigError without the battery's limits, and for a DBC that cannot be used."""
     can = config.can
     for key, limit, what in (

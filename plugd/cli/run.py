@@ -13,7 +13,7 @@ def add(commands: Commands) -> None:
 def _run(options: argparse.Namespace) -> int:
     from plugd import daemon
     from plugd.adapters.clock import SystemClock
-    from plugd.config import load
+    from plugd.config.handed import load
 
     clock = SystemClock()
     try:

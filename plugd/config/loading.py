@@ -1,26 +1,19 @@
 """Reading the file. What comes out can be trusted; what cannot be is a ConfigError of one line."""
 
 import os
-import stat
 import tomllib
 from pathlib import Path
-from typing import Any, get_args, get_origin
+from typing import get_args, get_origin
 
-from pydantic import BaseModel, SecretStr, ValidationError
+from pydantic import BaseModel, ValidationError
 
 from plugd.config.complaint import complaint, not_toml, one_line
-from plugd.config.sections import DaySection
-from plugd.config.whole import Config, at
-from plugd.domain import Capability, Car, DayRule, Household, Nights, RelayRules
+from plugd.config.secret_files import SECRET_FILES, content_of, secret_at
+from plugd.config.whole import Config
 from plugd.errors import ConfigError
-from plugd.units import from_pct
 
 MAX_BYTES = 256 * 1024
 """No configuration is this long; a log or a disk image named by mistake is."""
-
-MAX_SECRET_BYTES = 4096
-SECRET_FILES = ("broker.password_file", "web.token_file")
-WEEKDAYS = ("mon", "tue", "wed", "thu", "fri", "sat", "sun")
 
 
 def load(path: Path) -> Config:
@@ -89,108 +82,12 @@ def known_keys(model: type[BaseModel] = Config, under: str = "") -> tuple[str, .
     return tuple(keys)
 
 
-def password(config: Config) -> SecretStr | None:
-    """What `broker.password_file` holds now. Raises ConfigError."""
-    return _secret(config, "broker.password_file")
-
-
-def token(config: Config) -> SecretStr | None:
-    """What `web.token_file` holds now. Raises ConfigError."""
-    return _secret(config, "web.token_file")
-
-
-def household(config: Config, capability: Capability) -> Household:
-    """What the core works with: SOC as fractions, dwell in seconds. `capability` is the plug's own."""
-    car, nights, relay = config.car, config.nights, config.relay
-    return Household(
-        timezone=config.home.timezone,
-        car=Car(
-            capacity_kwh=car.capacity_kwh,
-            efficiency=car.efficiency,
-            soc_min=from_pct(car.soc_min_pct),
-            soc_max=from_pct(car.soc_max_pct),
-            taper_from=from_pct(car.taper_from_pct),
-            taper_share=from_pct(car.taper_share_pct),
-            soc_max_age_s=car.soc_max_age_min * 60,
-            daily_use_kwh=car.daily_use_kwh,
-            daily_use_sd_kwh=car.daily_use_sd_kwh,
-        ),
-        nights=Nights(
-            horizon=nights.horizon,
-            plug_in=nights.plug_in,
-            plug_in_sd_min=nights.plug_in_sd_min,
-            plug_out=nights.plug_out,
-            plug_out_sd_min=nights.plug_out_sd_min,
-            ready_by=nights.ready_by,
-            confidence=nights.confidence,
-            minimum=from_pct(nights.morning_minimum_pct),
-            default_window=nights.default_window,
-            learn=nights.learn,
-            week=tuple(sorted((WEEKDAYS.index(name), _rule(day)) for name, day in nights.week.items())),
-        ),
-        relay=RelayRules(
-            min_on_s=relay.min_on_min * 60,
-            min_off_s=relay.min_off_min * 60,
-            max_switch_on=relay.max_switch_on,
-            random_delay_s=relay.random_delay_s,
-        ),
-        capability=capability,
-        max_current_a=config.plug.max_current_a,
-        mains_voltage_v=config.plug.mains_voltage_v,
-        guard_margin_s=relay.random_delay_s + 1800,
-    )
-
-
-def _rule(day: DaySection) -> DayRule:
-    minimum = None if day.minimum_pct is None else from_pct(day.minimum_pct)
-    return DayRule(ready_by=day.ready_by, minimum=minimum, away=day.away)
-
-
 def _check_files(config: Config, name: str) -> None:
     """That the files named can be used, found out now and not at the first connection."""
     try:
         for key in SECRET_FILES:
-            _secret(config, key)
+            secret_at(config, key)
         if config.broker.ca_file is not None:
-            _content("broker.ca_file", config.broker.ca_file, MAX_BYTES)
+            content_of("broker.ca_file", config.broker.ca_file, MAX_BYTES)
     except ConfigError as error:
         raise ConfigError(f"{name}: {error}") from error
-
-
-def _secret(config: Config, key: str) -> SecretStr | None:
-    path: Path | None = at(config, key)
-    if path is None:
-        return None
-    content = _content(key, path, MAX_SECRET_BYTES)
-    said = _said(key, path)
-    if path.stat().st_mode & stat.S_IROTH:
-        raise ConfigError(f"{said}: everyone may read it; chmod 600 {one_line(str(path), 200)}")
-    return secret(content, said)
-
-
-def secret(content: bytes, said: str) -> SecretStr:
-    """What a secret's file holds. Raises ConfigError, which `said` names."""
-    try:
-        word = content.decode("utf-8").rstrip("\r\n")
-    except UnicodeDecodeError:
-        raise ConfigError(f"{said}: not UTF-8; write the secret alone, on one line") from None
-    if not word or not word.isprintable():
-        raise ConfigError(f"{said}: must hold the secret alone, on one line")
-    return SecretStr(word)
-
-
-def _content(key: str, path: Path, limit: int) -> bytes:
-    try:
-        with path.open("rb") as file:
-            content = file.read(limit + 1)
-    except OSError as error:
-        raise ConfigError(
-            f"{_said(key, path)}: cannot be read ({error.strerror}); create it, readable to plugd's user"
-        ) from error
-    if len(content) > limit:
-        raise ConfigError(f"{_said(key, path)}: longer than {limit} bytes; is this the right file?")
-    return content
-
-
-def _said(key: str, path: Any) -> str:
-    return f'{key} = "{one_line(str(path), 200)}"'

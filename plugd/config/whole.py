@@ -1,13 +1,13 @@
 """The whole file: its tables together, and what only shows when two values are seen beside each other."""
 
 from collections.abc import Callable
-from functools import reduce
 from math import floor
-from typing import Annotated, Any, Self
+from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
+from plugd.config.reading import MODULATING, at
 from plugd.config.sections import (
     BrokerSection,
     CanSection,
@@ -51,17 +51,9 @@ class Config(Section):
         return self
 
 
-def at(config: Config, key: str) -> Any:
-    """The value under a dotted key."""
-    return reduce(getattr, key.split("."), config)
-
-
 WORDED = ("mqtt", "shelly1", "zigbee2mqtt", "esphome")
 """Kinds whose words [plug.mqtt] may change."""
 NEEDED = ("command_topic", "command_on", "command_off", "state_topic", "state_on", "state_off")
-MODULATING = ("can_elcon", "openevse")
-"""Kinds that take a power, and not only on and off."""
-
 
 IMPOSSIBLE: tuple[tuple[str, Callable[[Config], bool], str], ...] = (
     (

@@ -10,9 +10,9 @@ from pydantic import ValidationError
 
 from plugd.config import Config
 from plugd.config.loading import complaints
+from plugd.config.reading import at
 from plugd.config.values import PlugKind
 from plugd.config.values import clock as clock_time
-from plugd.config.whole import at
 from plugd.first_run.places import NATION, near, region_of
 
 Value = str | int | float | bool

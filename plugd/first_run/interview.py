@@ -8,7 +8,7 @@ from typing import Protocol
 
 from plugd.config import doubts
 from plugd.config.complaint import one_line
-from plugd.config.loading import secret
+from plugd.config.secret_files import secret
 from plugd.errors import ConfigError, UsageError
 from plugd.first_run.answers import Answers, configured, refusal, written, yes_no
 from plugd.first_run.questions import BROKER, CAR, CHARGING, PLACE, PLUG, Question, state

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from math import ceil
 
-from plugd.config.whole import MODULATING
+from plugd.config.reading import MODULATING
 from plugd.first_run.answers import (
     DEFAULTS,
     KINDS,

@@ -108,7 +108,7 @@ BENCH_IMPORTS = {
     "sys",
     "pathlib.Path",
     "plugd.daemon",
-    "plugd.config.load",
+    "plugd.config.handed.load",
     "plugd.errors.PlugdError",
     "plugd_hil.conductor.Participant",
 }

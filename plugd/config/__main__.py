@@ -1,0 +1,34 @@
+"""`python -m plugd.config FILE`: reads the file for `plugd.config.handed`, and says on stdout what it found."""
+
+import pickle
+import sys
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel
+
+from plugd.config.handed import table
+from plugd.config.loading import load
+from plugd.errors import ConfigError
+
+
+class _Values(pickle.Pickler):
+    """Of a model only its values."""
+
+    def reducer_override(self, value: Any) -> Any:
+        return (table, (type(value).__name__, vars(value))) if isinstance(value, BaseModel) else NotImplemented
+
+
+def main() -> int:
+    """The child."""
+    found: object
+    try:
+        found = load(Path(sys.argv[1]))
+    except ConfigError as error:
+        found = error
+    _Values(sys.stdout.buffer).dump(found)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
