@@ -187,8 +187,8 @@ class Scores(Protocol):
     def measured(self, since: datetime) -> tuple[Intensity, ...]:
         """What was measured from `since` on, as far as published."""
 
-    def outlooks(self, since: datetime) -> Mapping[datetime, Mapping[datetime, float]]:
-        """What plugd expected of each half hour, by the half hour in which it did."""
+    def outlook(self, at: datetime) -> Mapping[datetime, float]:
+        """What plugd expected of each half hour, in the half hour that began at `at`; nothing where nothing is kept."""
 
     def scored(self) -> date | None:
         """The last day that is scored."""

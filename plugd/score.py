@@ -27,8 +27,7 @@ class LeadScore:
 def scores(forecasts: Iterable[Forecast], measured: Iterable[Intensity]) -> tuple[LeadScore, ...]:
     """One score a step of looking ahead, none for a step of which nothing is known."""
     true = {value.start: value.g_per_kwh for value in measured}
-    errors: dict[tuple[int, int], list[float]] = defaultdict(list)
-    levels: dict[tuple[int, int], float] = defaultdict(float)
+    sums: dict[tuple[int, int], list[float]] = defaultdict(lambda: [0.0] * 4)
     steps = tuple(pairwise(LEADS_H))
     for forecast in forecasts:
         for row in forecast.expected:
@@ -37,17 +36,17 @@ def scores(forecasts: Iterable[Forecast], measured: Iterable[Intensity]) -> tupl
             step = next((step for step in steps if step[0] <= max(lead_h, 0.0) < step[1]), None)
             if actual is None or step is None:
                 continue
-            errors[step].append(row.g_per_kwh - actual)
-            levels[step] += actual
-    return tuple(_score(step, errors[step], levels[step]) for step in steps if errors[step])
+            error = row.g_per_kwh - actual
+            for k, more in enumerate((1.0, abs(error), error, actual)):
+                sums[step][k] += more
+    return tuple(_score(step, *sums[step]) for step in steps if step in sums)
 
 
-def _score(step: tuple[int, int], errors: list[float], level: float) -> LeadScore:
-    absolute = sum(abs(error) for error in errors)
+def _score(step: tuple[int, int], count: float, absolute: float, signed: float, level: float) -> LeadScore:
     return LeadScore(
         *step,
-        count=len(errors),
-        mean_abs_g_per_kwh=absolute / len(errors),
-        bias_g_per_kwh=sum(errors) / len(errors),
+        count=int(count),
+        mean_abs_g_per_kwh=absolute / count,
+        bias_g_per_kwh=signed / count,
         mean_abs_pct=100.0 * absolute / level if level > 0.0 else 0.0,
     )

@@ -5,7 +5,7 @@ Persistence is what was measured at the same time of day, the last time that was
 """
 
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, date, datetime, time, timedelta
 from itertools import pairwise
@@ -35,14 +35,14 @@ STEPS = tuple(pairwise(LEADS_H))
 
 
 def tallies(
-    issued: Iterable[Forecast], outlooks: Mapping[datetime, Values], measured: Values, day: date
+    issued: Iterable[Forecast], outlook: Callable[[datetime], Values], measured: Values, day: date
 ) -> tuple[Tally, ...]:
-    """The errors of all that was said of the half hours of `day` (UTC). `outlooks`: by the half hour of their tick."""
+    """The errors of all that was said of the half hours of `day` (UTC). `outlook`: plugd's own in a half hour."""
     first = datetime.combine(day, time(), UTC)
     sums: dict[tuple[str, int, int], list[float]] = defaultdict(lambda: [0.0] * 4)
     for forecast in issued:
         said = {row.start: row.g_per_kwh for row in forecast.expected}
-        ours = outlooks.get(slot_start(forecast.issued_at), {})
+        ours = outlook(slot_start(forecast.issued_at))
         for start in (first + k * HALF_HOUR for k in range(48)):
             step = _step(hours(start - slot_start(forecast.issued_at)))
             true = measured.get(start)
@@ -109,7 +109,7 @@ class Scoring:
         since = first - FARTHEST - HALF_HOUR
         measured = {value.start: value.g_per_kwh for value in self.store.measured(since - 2 * DAY)}
         before = (forecast for forecast in self.store.issued(since) if forecast.issued_at < first + DAY)
-        return tallies(before, self.store.outlooks(since), measured, day)
+        return tallies(before, self.store.outlook, measured, day)
 
 
 def table(scores: Mapping[str, tuple[LeadScore, ...]]) -> Iterator[tuple[str, str, str, str]]:

@@ -177,9 +177,9 @@ class SqliteStore:
         """Older days than the half hours that are kept. Raises StoreError."""
         return self._told(lambda: store_past.days(self._db))
 
-    def outlooks(self, since: datetime) -> dict[datetime, dict[datetime, float]]:
-        """What was expected of each half hour, by the half hour in which it was. Raises StoreError."""
-        return self._told(lambda: store_past.outlooks(self._db, since))
+    def outlook(self, at: datetime) -> dict[datetime, float]:
+        """What was expected of each half hour in the one that began at `at`. Raises StoreError."""
+        return self._told(lambda: store_past.outlook(self._db, at))
 
     def scored(self) -> date | None:
         """The last day that is scored. Raises StoreError."""

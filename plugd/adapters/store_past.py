@@ -213,13 +213,10 @@ def expect(db: sqlite3.Connection, at: datetime, outlook: Outlook) -> None:
     db.execute(f"DELETE FROM outlook WHERE start <= ({oldest})", [MOST_OUTLOOKS])
 
 
-def outlooks(db: sqlite3.Connection, since: datetime) -> dict[datetime, dict[datetime, float]]:
-    """What was expected of each half hour, by the half hour in which it was."""
-    rows = db.execute("SELECT start, rows FROM outlook WHERE start >= ? ORDER BY start", [epoch_s(since)])
-    return {
-        moment(start): {row.start: row.g_per_kwh for row in unpack(moment(start), "", packed).expected}
-        for start, packed in rows
-    }
+def outlook(db: sqlite3.Connection, at: datetime) -> dict[datetime, float]:
+    """What was expected of each half hour in the one that began at `at`. One by one: together they are 8 MB."""
+    kept = db.execute("SELECT rows FROM outlook WHERE start = ?", [epoch_s(at)]).fetchone()
+    return {row.start: row.g_per_kwh for row in unpack(at, "", kept[0]).expected} if kept else {}
 
 
 def score(db: sqlite3.Connection, day: date, found: Iterable[Tally]) -> None:

@@ -22,14 +22,21 @@ def issued(at: datetime, hours: int = 48, off: float = 20.0) -> Forecast:
     return Forecast(at, "national", tuple(Intensity(slot, TRUE.get(slot, 0.0) + off) for slot in rows))
 
 
+def nothing(_: datetime) -> dict[datetime, float]:
+    return {}
+
+
 def by_whom(found: tuple[Tally, ...]) -> dict[tuple[str, int], tuple[int, float, float]]:
     return {(t.who, t.from_h): (t.half_hours, t.absolute / t.half_hours, t.signed / t.half_hours) for t in found}
 
 
 def test_all_three_are_held_to_the_same_half_hours() -> None:
-    outlooks = {MIDNIGHT: {slot: TRUE[slot] - 5.0 for slot in SLOTS[-48:]}}
+
+    def ours(at: datetime) -> dict[datetime, float]:
+        return {slot: TRUE[slot] - 5.0 for slot in SLOTS[-48:]} if at == MIDNIGHT else {}
+
     short = issued(MIDNIGHT, hours=14)  # the last two of the twelve hours from 12 on are beyond it
-    found = by_whom(tallies([short], outlooks, TRUE, DAY))
+    found = by_whom(tallies([short], ours, TRUE, DAY))
     assert found[NESO, 0] == (12, 20.0, 20.0)
     assert found[OURS, 0] == (12, 5.0, -5.0)
     assert found[PERSISTENCE, 0] == (12, 10.0, -10.0)
@@ -37,22 +44,22 @@ def test_all_three_are_held_to_the_same_half_hours() -> None:
 
 
 def test_persistence_takes_the_last_day_that_was_known_when_it_was_issued() -> None:
-    found = by_whom(tallies([issued(MIDNIGHT - timedelta(days=1))], {}, TRUE, DAY))
+    found = by_whom(tallies([issued(MIDNIGHT - timedelta(days=1))], nothing, TRUE, DAY))
     assert found[PERSISTENCE, 24][1:] == (20.0, -20.0)
     late = issued(MIDNIGHT + timedelta(hours=1))
-    assert by_whom(tallies([late], {}, TRUE, DAY))[PERSISTENCE, 0][1] == 10.0
+    assert by_whom(tallies([late], nothing, TRUE, DAY))[PERSISTENCE, 0][1] == 10.0
 
 
 def test_beyond_the_sources_end_plugds_own_is_scored_too() -> None:
     at = MIDNIGHT - timedelta(days=3)
-    found = by_whom(tallies([issued(at)], {at: dict.fromkeys(SLOTS, 0.0)}, TRUE, DAY))
+    found = by_whom(tallies([issued(at)], lambda _: dict.fromkeys(SLOTS, 0.0), TRUE, DAY))
     assert (OURS, 48) in found
     assert (NESO, 48) not in found
 
 
 def test_days_add_up() -> None:
-    one = tallies([issued(MIDNIGHT, off=10.0)], {}, TRUE, DAY)
-    other = tallies([issued(MIDNIGHT, off=-30.0)], {}, TRUE, DAY)
+    one = tallies([issued(MIDNIGHT, off=10.0)], nothing, TRUE, DAY)
+    other = tallies([issued(MIDNIGHT, off=-30.0)], nothing, TRUE, DAY)
     near = summed((*one, *other))[NESO][0]
     assert (near.count, near.mean_abs_g_per_kwh, near.bias_g_per_kwh) == (24, 20.0, -10.0)
     assert near.mean_abs_pct == pytest.approx(100.0 * 20.0 / 240.0)
@@ -82,9 +89,9 @@ class Shelf:
         """All of it."""
         return tuple(Intensity(slot, g) for slot, g in TRUE.items() if slot >= since)
 
-    def outlooks(self, since: datetime) -> dict[datetime, dict[datetime, float]]:
+    def outlook(self, at: datetime) -> dict[datetime, float]:
         """None."""
-        return {}
+        return nothing(at)
 
     def scored(self) -> date | None:
         """The last one."""
