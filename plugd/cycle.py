@@ -214,9 +214,8 @@ class Cycle:
         if self.learned is None:
             return None
         if self.learned.lacks(seen.history):  # after a start, and with every page of the past
-            nothing: tuple[Forecast, ...] = ()
-            issued = self._stored("issued", lambda: tuple(self.store.issued(now - HISTORY)), nothing)
-            self.learned = replayed(issued, seen.history, now)
+            again = self._stored("issued", lambda: replayed(self.store.issued(now - HISTORY), seen.history, now), None)
+            self.learned = again or replayed((), seen.history, now)
         forecasts = () if seen.forecast is None else (seen.forecast,)
         self.learned = self.learned.advanced(now, forecasts, seen.history)
         return self.learned

@@ -167,7 +167,7 @@ def decision_now(config: Config, solver: Solver | None = None) -> Decision:
             memory = store.load() or memory
             forecast = daemon.kept_forecast(store, config)
             history = store.history(now - HISTORY)
-            learned = replayed(tuple(store.issued(now - HISTORY)), history, now)
+            learned = replayed(store.issued(now - HISTORY), history, now)
     faults: tuple[Fault, ...] = ()
     if forecast is None or slot_start(forecast.issued_at) != slot_start(now):
         try:

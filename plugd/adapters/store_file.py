@@ -14,7 +14,7 @@ from plugd.errors import AlreadyRunning, StoreError
 FILE = "plugd.db"
 LOCK = "lock"
 BUSY_S = 5.0
-CACHE_KIB = 512
+CACHE_KIB = 256
 """Of pages in memory. SQLite's own 2 MB would fill over a month, and what is read is read once a half hour."""
 
 REMEDIES = {

@@ -188,7 +188,7 @@ def issued(db: sqlite3.Connection, since: datetime) -> Iterator[Forecast]:
     rows = db.execute(
         f"SELECT issued_at, region, rows FROM forecast WHERE issued_at >= ? AND region = {_REGION} ORDER BY id",
         [epoch_s(since)],
-    ).fetchall()
+    )
     return (unpack(moment(issued_at), region, packed) for issued_at, region, packed in rows)
 
 

@@ -260,16 +260,24 @@ class Learned:
         return replace(self, said=tuple(known[start] for start in sorted(known)), issued_at=forecasts[-1].issued_at)
 
 
-def replayed(issued: Sequence[Forecast], actuals: Sequence[Intensity], now: datetime) -> Learned:
-    """What is known at `now`, learned from the store as it would have been learned day by day. Both sorted."""
-    learned, told, published = Learned(), 0, 0
-    begun = [forecast.issued_at for forecast in issued[:1]]  # with the first one the first outlook was kept
+def replayed(issued: Iterable[Forecast], actuals: Sequence[Intensity], now: datetime) -> Learned:
+    """What is known at `now`, learned from the store as it would have been learned day by day. Both sorted.
+
+    Of the forecasts a page is held at a time: eight weeks of them together are 40 MB.
+    """
+    waiting = iter(issued)
+    ahead = next(waiting, None)
+    learned, published = Learned(), 0
+    begun = [] if ahead is None else [ahead.issued_at]  # with the first one the first outlook was kept
     first = min([now, *(value.start for value in actuals[:1]), *begun])
     for moment in merge(begun, moments(first, now)):
-        new = bisect_right(issued, moment + AT_ONCE, key=lambda forecast: forecast.issued_at)
+        page = []
+        while ahead is not None and ahead.issued_at <= moment + AT_ONCE:
+            page.append(ahead)
+            ahead = next(waiting, None)
         over = bisect_right(actuals, moment - LATE - HALF_HOUR, key=lambda value: value.start)
-        learned = learned.advanced(moment, issued[told:new], actuals[published:over])
-        told, published = new, over
+        learned = learned.advanced(moment, page, actuals[published:over])
+        published = over
     return learned
 
 
