@@ -1,5 +1,6 @@
 """The program: its arguments, its log, its exit codes."""
 
+import argparse
 import logging
 import sys
 from collections.abc import Sequence
@@ -47,16 +48,22 @@ def parser() -> Parser:
     return whole
 
 
-def _commanded(given: Sequence[str]) -> int:
-    whole = parser()
+def _parsed(given: Sequence[str]) -> argparse.Namespace:
+    whole = parser()  # gone when the command begins: the daemon's would take its place for years
     options, rest = whole.parse_known_args(given)
-    code: int
     if options.reads_rest:
         options.rest = rest
+    elif rest:
+        whole.error(f"unrecognized arguments: {' '.join(rest)}")
+    return options
+
+
+def _commanded(given: Sequence[str]) -> int:
+    options = _parsed(given)
+    code: int
+    if options.reads_rest:
         code = options.does(options)
         return code
-    if rest:
-        whole.error(f"unrecognized arguments: {' '.join(rest)}")
     # Only the daemon's log is read by somebody; the other commands say all that matters themselves.
     level = logging.INFO if options.command == "run" else logging.ERROR
     begin(level, options.verbose)
