@@ -7,7 +7,9 @@ with the page open. Elsewhere (musl, macOS) nothing is done, and nothing needs t
 import ctypes
 from collections.abc import Callable
 
-M_ARENA_MAX = -8
+M_TRIM_THRESHOLD, M_ARENA_MAX = -1, -8
+TOP_BYTES = 1 << 16
+"""What may be free at the heap's end before it is given back at once."""
 EVERY_S = 1800.0
 
 
@@ -27,6 +29,7 @@ class Allocator:
         self._due_s = 0.0
         if limit := _of_the_c_library("mallopt"):
             limit(M_ARENA_MAX, 1)
+            limit(M_TRIM_THRESHOLD, TOP_BYTES)
 
     def tidy(self, now_s: float) -> None:
         """Give back what is free, every half hour of the monotonic clock: it takes a millisecond."""

@@ -4,7 +4,6 @@ import json
 import re
 from collections.abc import Iterable, Mapping
 from datetime import time
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -76,6 +75,8 @@ def shown(value: Any, key: str = "") -> str:
 
 def nearest(word: str, known: Iterable[str]) -> str | None:
     """The known word that was probably meant."""
+    from difflib import get_close_matches  # noqa: PLC0415 - for who mistyped; the daemon is spared it
+
     known, word = list(known), word.lower()
     by_start = [k for k in known if len(word) > 2 and (k.startswith(word) or word.startswith(k))]
     close = get_close_matches(word, [k.lower() for k in known], n=1) if len(word) < 100 else []

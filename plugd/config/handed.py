@@ -17,8 +17,8 @@ from plugd.errors import ConfigError
 if TYPE_CHECKING:
     from plugd.config.whole import Config
 
-PATIENCE_S = 60.0
-"""A slow machine reads in some 2 s."""
+PATIENCE_S = 30.0
+"""A slow machine takes some 3 s."""
 
 
 def table(name: str, values: Mapping[str, Any]) -> Any:
