@@ -11,11 +11,11 @@ from typing import Any
 from zlib import crc32
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
+from starlette.middleware.exceptions import ExceptionMiddleware
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import HTMLResponse, JSONResponse, Response
-from starlette.routing import Mount, Route
+from starlette.routing import Mount, Route, Router
 from starlette.staticfiles import StaticFiles
 
 from plugd import __version__
@@ -82,7 +82,8 @@ class Page:
             Route("/command/{name}", self.command, methods=["POST"]),
             Mount("/static", _Kept(packages=[("plugd.web", "static")])),
         ]
-        self.gate = Gate(Starlette(routes=routes), self.names)
+        # Starlette's own application would add what draws tracebacks, for half a MiB.
+        self.gate = Gate(ExceptionMiddleware(Router(routes)), self.names)
 
     # -- reading ----------------------------------------------------------------------------------
 
