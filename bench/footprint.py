@@ -164,7 +164,7 @@ def demo(days: int, *more: str, tables: str = "", strace: bool = False) -> tuple
 
 
 LOADED = """
-import ctypes, gc, sys
+import argparse, ctypes, gc, sys
 real = sys.argv[1] == "real"
 if real:
     from plugd.cli import program
