@@ -110,8 +110,7 @@ def plug_for(config: "Config", connection: MqttConnection, clock: Clock) -> Plug
         case "can_elcon":
             return _can_charger(config, clock=clock)
         case kind:
-            set_here = {name: word for name, word in vars(plug.mqtt).items() if word is not None}
-            words = replace(PRESETS[kind], **set_here)
+            words = replace(PRESETS[kind], **{name: word for name, word in vars(plug.mqtt).items() if word is not None})
             return SwitchedPlug(connection, clock, topic, Plain(topic, words), plug.power_kw)
 
 
