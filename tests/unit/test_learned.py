@@ -2,6 +2,8 @@
 
 import math
 import random
+import weakref
+from collections.abc import Iterator
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
@@ -10,7 +12,7 @@ import pytest
 from plugd import outlook
 from plugd.domain import Forecast, Intensity, SlotSource
 from plugd.outlook import Learned, replayed
-from plugd.outlook.learned import LATE
+from plugd.outlook.learned import EVERY, LATE
 from plugd.outlook.tables import Fit
 from plugd.units import HALF_HOUR
 
@@ -158,3 +160,25 @@ def test_the_weights_solve_the_normal_equations() -> None:
     assert exact.weights((0.0, 0.0, 0.0), 1e-6) == pytest.approx((0.9, 0.4, -0.2), abs=1e-4)
     assert exact.weights((0.5, 0.5, 0.5), 1e9) == pytest.approx((0.5, 0.5, 0.5), abs=1e-3)
     assert Fit().weights((0.5, 0.6, 0.7), 10.0) == (0.5, 0.6, 0.7)
+
+
+class Watched(Forecast):
+    """A forecast of which it is known whether anybody still holds it."""
+
+
+def test_a_start_holds_a_page_of_the_kept_forecasts_at_a_time() -> None:
+    """Eight weeks of them are 40 MB, and what is once taken for them the daemon keeps for good."""
+    days = [issued(day).expected for day in range(4)]
+    seen: list[weakref.ref[Watched]] = []
+    held: list[int] = []
+
+    def kept() -> Iterator[Forecast]:
+        for k in range(48 * 4):
+            forecast = Watched(START + k * HALF_HOUR, "national", days[k // 48][k % 48 :][:96])
+            seen.append(weakref.ref(forecast))
+            held.append(sum(ref() is not None for ref in seen))
+            yield forecast
+
+    replayed(kept(), ACTUALS, START + timedelta(days=4))
+    assert len(held) == 48 * 4
+    assert max(held) <= EVERY + 2
