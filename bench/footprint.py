@@ -57,7 +57,7 @@ INSIDE = "\n[planner]\nchild = false\n"
 PLANS = 56
 """A day: each half hour, and some commands."""
 PAGE_S, SETTLE_S = 3.0, 2.0
-PATIENCE_S = 30.0
+PATIENCE_S = 120.0
 MEASURED_SLOTS = 52
 """It is asked what was measured of the last 26 hours."""
 STARTS = 3
