@@ -86,6 +86,8 @@ def _idle(now: datetime, reading: Reading, flow: Flow, on_since: datetime) -> Fl
     """Whether something flows while the relay is on, and whether the car stopped by itself."""
     if flow.wake_until is not None and now >= flow.wake_until and (reading.on or now > flow.wake_until + WAKE_SLACK):
         flow = replace(flow, wake_until=None)
+    if reading.came_back:  # what flowed before a power cut says nothing of the relay now
+        flow = replace(flow, idle_since=None, flowed=False)
     if not reading.on:
         return replace(flow, idle_since=None, flowed=False)
     if reading.power_kw is None:

@@ -19,7 +19,7 @@ from plugd.outlook import Learned
 from plugd.remedies import KNOWN
 from plugd.units import HALF_HOUR
 from tests.chaos.__main__ import jobs, work
-from tests.chaos.night import Night, Trouble, single
+from tests.chaos.night import Night, Trouble, lived, single
 from tests.chaos.ports import ChaosSource, down
 from tests.chaos.troubles import TROUBLES
 
@@ -43,6 +43,12 @@ def test_every_trouble_is_said_or_there_is_a_reason_not_to() -> None:
 @pytest.mark.parametrize("job", list(jobs(NIGHTS, PAIRS, seed=90_000)), ids=str)
 def test_nights_with_one_trouble_or_two(job: tuple[int, tuple[int, ...]]) -> None:
     assert work(job).objections == ()
+
+
+def test_a_lie_that_begins_with_a_power_cut_is_no_press_when_it_ends() -> None:
+    """The car had charged before; what flowed then says nothing of the relay after the cut."""
+    two = {trouble.name: trouble for trouble in TROUBLES}
+    assert lived(227, (two["lies on"], two["power cut"])).objections == ()
 
 
 def test_the_oracle_sees_a_morning_that_was_missed() -> None:
