@@ -21,7 +21,7 @@ LOCK := $(VENV)-lock/bin/uv pip compile --quiet --universal --python-version 3.1
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 export PIP_ROOT_USER_ACTION = ignore
 
-.PHONY: help demo test hub-test pictures weeks study plugs deadman fuzz broken can-week can-fuzz nights chaos scenarios natural check bench lock clean deb test-deb test-arm64
+.PHONY: help demo test hub-test pictures weeks study plugs deadman fuzz broken can-week can-fuzz fuzz-parsers nights chaos scenarios natural check bench lock clean deb test-deb test-arm64
 .PHONY: footprint sbom audit
 .DELETE_ON_ERROR:
 
@@ -66,6 +66,9 @@ can-week: $(READY) ## a week of the demo with the charger on CAN: no morning mis
 
 can-fuzz: $(READY) ## a million frames at random against the charger on CAN
 	$(VENV)/bin/python -m tests.fuzz_can $(ARGS)
+
+fuzz-parsers: $(READY) ## forecasts, commands, configuration, problem files, requests, stored state: damaged, a million
+	$(VENV)/bin/python -m tests.fuzz_parsers --inputs 1000000 $(ARGS)
 
 nights: $(READY) ## two thousand nights in which things fail, five hundred with two at once: no morning missed
 	$(VENV)/bin/python -m tests.chaos $(ARGS)

@@ -134,7 +134,7 @@ def mutated(dice: random.Random, said: object) -> bytes:
     if choice < 0.1:
         return dice.randbytes(dice.randrange(64))
     if choice < 0.55:
-        said = _swapped(dice, said)
+        said = swapped(dice, said)
     text = said if isinstance(said, str) else json.dumps(said)
     payload = bytearray(text.encode("utf-8", "surrogatepass"))
     if choice >= 0.5 and payload:
@@ -150,13 +150,14 @@ def mutated(dice: random.Random, said: object) -> bytes:
     return bytes(payload)
 
 
-def _swapped(dice: random.Random, said: object) -> object:
+def swapped(dice: random.Random, said: object) -> object:
     """One value, somewhere within, is another."""
     if isinstance(said, dict) and said and dice.random() < 0.85:
         key = dice.choice(list(said))
-        return {**said, key: _swapped(dice, said[key])}
-    if isinstance(said, list) and said and dice.random() < 0.7:
-        return [_swapped(dice, said[0]), *said[1:]]
+        return {**said, key: swapped(dice, said[key])}
+    if isinstance(said, list) and said and dice.random() < 0.85:
+        at = dice.randrange(len(said))
+        return [*said[:at], swapped(dice, said[at]), *said[at + 1 :]]
     return dice.choice(WILD)
 
 

@@ -10,8 +10,7 @@ from contextlib import suppress
 from datetime import datetime, timedelta
 from pathlib import Path
 
-from plugd.adapters import frozen_json
-from plugd.adapters.store import SqliteStore, worded
+from plugd.adapters.store import SqliteStore, remembered, worded
 from plugd.domain import Memory
 from plugd.errors import StoreError
 
@@ -106,5 +105,5 @@ class KeptTwice(SqliteStore):
             if body is None:
                 continue
             with suppress(ValueError):
-                return frozen_json.read(Memory, body)
+                return remembered(body)
         return None

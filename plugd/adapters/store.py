@@ -11,12 +11,14 @@ from pathlib import Path
 from typing import Any, Self, TypeVar
 
 from plugd.adapters import frozen_json, store_past
+from plugd.adapters.sound import objection
 from plugd.adapters.store_file import StoreFile
 from plugd.adapters.store_past import Day, Past, epoch_s, moment
 from plugd.domain import Forecast, Intensity, Memory, Outlook, PastRow, Record
 from plugd.errors import StoreError
 from plugd.ledger import HalfHour
 from plugd.ports import Tally
+from plugd.units import is_number
 
 MOST_RECORDS = 400 * 96
 """About 13 months. Counted in rows, not by date: a clock years ahead must not empty the store."""
@@ -52,8 +54,20 @@ LEDGER_COLUMNS = (
 )
 LEDGER = ", ".join(LEDGER_COLUMNS)
 _TIMES = ("start", "arrival", "session_end", "metered_at")
+_NEVER_NULL = ("kwh", "g_per_kwh", "soc", "switch_ons", "limit_kw")
+_NUMBERS = (*_NEVER_NULL, "final_g_per_kwh", "minimum", "meter_kwh")
+MOST_NUMBER = 1e9
+"""Of anything in the ledger: meters end far below."""
 
 Found = TypeVar("Found")
+
+
+def remembered(body: bytes) -> Memory:
+    """A memory as it was saved. Raises ValueError for what cannot have been."""
+    memory = frozen_json.read(Memory, body)
+    if wrong := objection(memory):
+        raise ValueError(wrong)
+    return memory
 
 
 class SqliteStore:
@@ -91,7 +105,7 @@ class SqliteStore:
         if row is None:
             return None
         try:
-            memory = frozen_json.read(Memory, zlib.decompress(row[0]))
+            memory = remembered(zlib.decompress(row[0]))
         except (zlib.error, TypeError, ValueError) as error:
             raise StoreError(f"{self._file.path}: the saved memory cannot be read; plugd begins without it") from error
         self._saved = memory
@@ -196,7 +210,7 @@ class SqliteStore:
                 f"SELECT {LEDGER} FROM half_hour WHERE start >= ? ORDER BY start",
                 [0.0 if since is None else epoch_s(since)],
             ).fetchall()
-        return tuple(_half_hour(*row) for row in rows)
+        return tuple(found for row in rows if (found := _half_hour(*row)) is not None)
 
     def enter(self, rows: Sequence[HalfHour]) -> None:
         """Keep half hours of the ledger, in place of what was kept of them. Raises StoreError."""
@@ -221,7 +235,7 @@ def worded(memory: Memory) -> bytes:
     """As JSON. Raises StoreError where the next start could not read it: the last good one is to stay."""
     try:
         body = frozen_json.dump(memory)
-        same = frozen_json.read(Memory, body) == memory
+        same = remembered(body) == memory
     except ValueError:  # not-a-number, say
         same = False
     if not same:
@@ -236,9 +250,13 @@ def _ledger_row(row: HalfHour) -> list[object]:
     return list((values | {"night": row.night.isoformat(), "start": int(epoch_s(row.start))}).values())
 
 
-def _half_hour(*columns: Any) -> HalfHour:
+def _half_hour(*columns: Any) -> HalfHour | None:
+    """A row of the ledger; None where a damaged card holds what was never entered."""
     values = dict(zip(LEDGER_COLUMNS, columns, strict=True))
-    values |= {name: moment(values[name]) for name in _TIMES if values[name] is not None}
-    return HalfHour(
-        **values | {"night": date.fromisoformat(values["night"]), "arrival_told": bool(values["arrival_told"])}
-    )
+    try:
+        values |= {name: moment(values[name]) for name in _TIMES if values[name] is not None}
+        values |= {"night": date.fromisoformat(values["night"]), "arrival_told": bool(values["arrival_told"])}
+    except store_past.UNREADABLE:
+        return None
+    numbers = [values[name] for name in _NUMBERS if values[name] is not None or name in _NEVER_NULL]
+    return HalfHour(**values) if all(is_number(value) and abs(value) < MOST_NUMBER for value in numbers) else None

@@ -14,6 +14,8 @@ from plugd.errors import AlreadyRunning, StoreError
 FILE = "plugd.db"
 LOCK = "lock"
 BUSY_S = 5.0
+MOST_QUOTED = 100
+"""Of SQLite's words: they may hold what stands in a damaged file."""
 CACHE_KIB = 256
 """Of pages in memory. SQLite's own 2 MB would fill over a month, and what is read is read once a half hour."""
 
@@ -27,6 +29,8 @@ REMEDIES = {
     sqlite3.SQLITE_NOTADB: "it is no database; restart plugd, which sets it aside and begins anew",
 }
 """What to do about SQLite's primary result codes."""
+NOT_TEXT = "SQLite's own words on it quote what is no text"
+"""Where a damaged schema stands in the message, Python cannot make an error of it."""
 DAMAGE = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
 
 
@@ -71,6 +75,8 @@ class StoreFile:
         """SQLite's errors as StoreError."""
         try:
             yield
+        except UnicodeDecodeError as error:
+            raise self._error(_Damaged(NOT_TEXT)) from error
         except sqlite3.Error as error:
             raise self._error(error) from error
 
@@ -96,6 +102,9 @@ class StoreFile:
             if found != ["ok"]:
                 raise _Damaged(found[0])
             self._migrate(db)
+        except UnicodeDecodeError as error:
+            db.close()
+            raise _Damaged(NOT_TEXT) from error
         except BaseException:
             db.close()
             raise
@@ -123,7 +132,8 @@ class StoreFile:
         return aside
 
     def _error(self, error: sqlite3.Error) -> StoreError:
-        remedy = REMEDIES.get(_code(error), f"SQLite says: {error}")
+        said = "".join(c if c.isprintable() else "?" for c in str(error)[:MOST_QUOTED])
+        remedy = REMEDIES.get(_code(error), f"SQLite says: {said}")
         return StoreError(f"{self.path}: {remedy}")
 
     def _release(self) -> None:

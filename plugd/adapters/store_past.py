@@ -11,7 +11,7 @@ from dataclasses import astuple, dataclass, replace
 from datetime import UTC, date, datetime
 from typing import NamedTuple
 
-from plugd.adapters.store_pack import pack, unpack
+from plugd.adapters.store_pack import MOST_G_PER_KWH, pack, unpack
 from plugd.domain import Forecast, Intensity, Outlook, PastRow
 from plugd.ports import Tally
 from plugd.units import HALF_HOUR, require_utc, slot_start
@@ -41,13 +41,15 @@ TABLES = """
 """
 """What came to the tables `forecast` and `seen` of the store's first version."""
 
-UNREADABLE = (zlib.error, ValueError, KeyError, TypeError)
-"""What unpacking raises for what was never packed."""
+UNREADABLE = (zlib.error, ValueError, LookupError, TypeError, OverflowError, OSError, RecursionError)
+"""What unpacking raises for what was never packed, and a moment for what is none."""
 _REGION = (
     "coalesce((SELECT region FROM forecast ORDER BY id DESC LIMIT 1), (SELECT region FROM seen ORDER BY start DESC "
     "LIMIT 1))"
 )
 """Of the last forecast; where there never was one, of what is known of the past."""
+_TRUE = f"g BETWEEN 0 AND {MOST_G_PER_KWH:.0f} AND start < 253402300800"
+"""No other cell was written by plugd: to SQLite a text is more than any number, and 9999 is the last year."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,7 +191,15 @@ def issued(db: sqlite3.Connection, since: datetime) -> Iterator[Forecast]:
         f"SELECT issued_at, region, rows FROM forecast WHERE issued_at >= ? AND region = {_REGION} ORDER BY id",
         [epoch_s(since)],
     )
-    return (unpack(moment(issued_at), region, packed) for issued_at, region, packed in rows)
+    return (found for row in rows if (found := _unpacked(*row)) is not None)
+
+
+def _unpacked(issued_at: float, region: str, packed: bytes) -> Forecast | None:
+    """A forecast; None where its row is damaged: of thousands none is missed."""
+    try:
+        return unpack(moment(issued_at), region, packed)
+    except UNREADABLE:
+        return None
 
 
 def history(db: sqlite3.Connection, since: datetime) -> tuple[Intensity, ...]:
@@ -197,8 +207,8 @@ def history(db: sqlite3.Connection, since: datetime) -> tuple[Intensity, ...]:
     last = db.execute("SELECT issued_at FROM forecast ORDER BY id DESC LIMIT 1").fetchone()
     over = last[0] - HALF_HOUR.total_seconds() if last else epoch_s(datetime.max.replace(tzinfo=UTC))
     rows = db.execute(
-        f"SELECT start, coalesce(actual, expected) FROM seen WHERE region = {_REGION} AND start >= ? "
-        "AND (actual IS NOT NULL OR start <= ?) ORDER BY start",
+        f"SELECT start, coalesce(actual, expected) AS g FROM seen WHERE region = {_REGION} AND start >= ? "
+        f"AND (actual IS NOT NULL OR start <= ?) AND {_TRUE} ORDER BY start",
         [epoch_s(since), over],
     )
     return tuple(Intensity(moment(start), value) for start, value in rows)
@@ -216,7 +226,8 @@ def expect(db: sqlite3.Connection, at: datetime, outlook: Outlook) -> None:
 def outlook(db: sqlite3.Connection, at: datetime) -> dict[datetime, float]:
     """What was expected of each half hour in the one that began at `at`. One by one: together they are 8 MB."""
     kept = db.execute("SELECT rows FROM outlook WHERE start = ?", [epoch_s(at)]).fetchone()
-    return {row.start: row.g_per_kwh for row in unpack(at, "", kept[0]).expected} if kept else {}
+    found = _unpacked(epoch_s(at), "", kept[0]) if kept else None
+    return {row.start: row.g_per_kwh for row in found.expected} if found else {}
 
 
 def score(db: sqlite3.Connection, day: date, found: Iterable[Tally]) -> None:
@@ -230,7 +241,7 @@ def score(db: sqlite3.Connection, day: date, found: Iterable[Tally]) -> None:
 
 def scored(db: sqlite3.Connection) -> date | None:
     """The last day with a score."""
-    last = db.execute("SELECT max(day) FROM scored").fetchone()[0]
+    last = db.execute("SELECT max(day) FROM scored WHERE date(day) = day").fetchone()[0]
     return None if last is None else date.fromisoformat(last)
 
 
@@ -243,7 +254,7 @@ def tallies(db: sqlite3.Connection, since: date) -> tuple[Tally, ...]:
 def measured(db: sqlite3.Connection, since: datetime) -> tuple[Intensity, ...]:
     """What was measured from `since` on, of the present region."""
     rows = db.execute(
-        f"SELECT start, actual FROM seen WHERE actual IS NOT NULL AND start >= ? AND region = {_REGION} ORDER BY start",
+        f"SELECT start, actual AS g FROM seen WHERE start >= ? AND region = {_REGION} AND {_TRUE} ORDER BY start",
         [epoch_s(since)],
     )
     return tuple(Intensity(moment(start), value) for start, value in rows)

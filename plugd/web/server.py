@@ -8,6 +8,7 @@ import threading
 from typing import Any
 
 import uvicorn
+from h11 import LocalProtocolError
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from plugd.errors import PlugdError
@@ -36,6 +37,16 @@ class Bounded(H11Protocol):
             return
         self.loop.call_later(HEADERS_S, self._end, transport, True)
         self.loop.call_later(LONGEST_S, self._end, transport, False)
+
+    def send_400_response(self, msg: str) -> None:
+        """Refuse what is no HTTP. Whoever is about to answer an earlier part of it finds that nobody listens."""
+        if self.cycle is not None:
+            self.cycle.disconnected = True
+            self.cycle.message_event.set()
+        try:
+            super().send_400_response(msg)
+        except LocalProtocolError:  # an answer had begun
+            self.transport.close()
 
     def _end(self, transport: Any, if_silent: bool) -> None:
         if not (if_silent and self.cycle is not None):

@@ -113,18 +113,19 @@ def test_a_saved_memory_comes_back_whole_after_a_restart(tmp_path: Path, orders:
 
 
 moments = st.datetimes(datetime(2000, 1, 1), datetime(2100, 1, 1), timezones=st.just(UTC))  # noqa: DTZ001
-numbers = st.floats(allow_nan=False, allow_infinity=False)
+numbers = st.floats(-1e6, 1e6)
+fractions = st.floats(0.0, 1.0)
 switchings = st.builds(Switching, st.lists(st.builds(Switch, moments, st.booleans()), max_size=3).map(tuple), moments)
 memories = st.builds(
     Memory,
-    soc=st.builds(SocEstimate, numbers, numbers, st.text(), st.none() | moments, moments, st.none() | numbers),
+    soc=st.builds(SocEstimate, fractions, numbers, st.text(), st.none() | moments, moments, st.none() | numbers),
     overrides=st.builds(
-        Overrides, mode=st.sampled_from(Mode), minimum=st.none() | numbers, ready_by=st.none() | st.times()
+        Overrides, mode=st.sampled_from(Mode), minimum=st.none() | fractions, ready_by=st.none() | st.times()
     ),
     orders=st.none() | switchings | st.builds(Setpoint, st.floats(0, 22), moments),
     relay_on=st.none() | st.booleans(),
     switch_ons=st.lists(moments, max_size=3).map(tuple),
-    observed_kw=numbers,
+    observed_kw=st.none() | st.floats(0.05, 22.0),
 )
 
 

@@ -594,3 +594,15 @@ def test_an_address_that_is_taken_costs_the_page_only(caplog: pytest.LogCaptureF
     with opening.opened_page(config, Path(), served.room.cycle, line) as inbox:
         assert inbox is line
     assert "set web.bind to a free address" in caplog.text
+
+
+def test_what_is_no_http_any_more_is_refused_without_a_traceback(
+    served: Served, caplog: pytest.LogCaptureFixture
+) -> None:
+    host, port = served.host.rsplit(":", 1)
+    head = f"GET / HTTP/1.1\r\nHost: {served.host}\r\nTransfer-Encoding: chunked\r\n\r\n"
+    with socket.create_connection((host, int(port)), timeout=10.0) as line:
+        line.sendall(head.encode() + b"no length of a chunk\r\n")
+        assert line.recv(100).startswith(b"HTTP/1.1 400")
+    assert served.get("/").status == 200
+    assert not [record for record in caplog.records if record.exc_info]
