@@ -21,8 +21,6 @@ from plugd_hil.script import Event
 
 BASE = "plugd/ev"
 LOOK_S = 0.05
-LOOKS_S = 30.0
-"""The daemon looks at least so often on the simulated clock; on the real one it does every 10 s."""
 SETTLE_S = 0.2
 """Real time in which a program notices that its connection is there, or gone."""
 PATIENCE_S = 70.0
@@ -102,7 +100,7 @@ class House:
     def _plugd(self) -> None:
         config = str(self.folder / "plugd.toml")
         words = (
-            ("plugd_hil.daemon", "-c", config, "--look", str(LOOKS_S), *self._clock)
+            ("plugd_hil.daemon", "-c", config, "--look", str(self.scenario.written.look_s), *self._clock)
             if self._clock
             else ("plugd", "-c", config, "run")
         )
@@ -195,10 +193,13 @@ class House:
         raise PlugdError(f"nobody came back to the broker: {''.join(self._broker.log)}")
 
     def daemon(self, event: Event) -> None:
-        """kill · stop · start · restart (killed, and started again at once) · hang · resume (natural speed only)."""
+        """kill · stop · start · restart (killed, and started at once) · damage · hang · resume (natural speed only)."""
         if event.order in ("hang", "resume"):
             word = signal.SIGSTOP if event.order == "hang" else signal.SIGCONT
             self._children.running["plugd"].send_signal(word)
+        if event.order == "damage":  # of a plugd that is dead
+            with (self._state / "plugd.db").open("r+b") as file:
+                file.write(b"\0" * 4096)
         if event.order in ("kill", "stop", "restart"):
             self._gone(signal.SIGTERM if event.order == "stop" else signal.SIGKILL)
         if event.order in ("start", "restart"):

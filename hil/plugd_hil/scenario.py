@@ -43,6 +43,8 @@ class Written(Section):
     """It comes at 18:00 (and goes at 09:00), or is there all the time, or not at all; `faults` may move it too."""
     tell: Literal["arrival", "always", "never"] = "arrival"
     seed: int = 0
+    look_s: Annotated[float, Field(ge=10)] = 30.0
+    """The daemon looks at least so often on the simulated clock; on the real one it does every 10 s."""
     plug_options: list[str] = Field(default_factory=list)
     """More words for the stub's command line."""
     config: dict[str, dict[str, Any]] = Field(default_factory=dict)
