@@ -218,9 +218,12 @@ def throw_stored(dice: random.Random, inputs: int) -> Count:
             shutil.copytree(sound, folder)
             damage, began = dice.choice(DAMAGE), time.process_time()
             damage(dice, folder)
+            spared = (folder / COPY).read_bytes() == (sound / COPY).read_bytes()
             try:
                 _looked(folder)
                 taken = _begin(folder)
+                if spared and not taken:
+                    raise LookupError("the copy is whole, and was not read")
                 if time.process_time() - began > MOST_S:
                     raise TimeoutError("plugd is stuck")
             except StoreError as error:
