@@ -151,11 +151,12 @@ NUMBERS = (0.0, -0.0, 1e-9, 1e-300, 0.01, 1.0, 20.0, 50.0, 80.0, 99.999999, 100.
 
 
 def _another_number(dice: random.Random, said: object) -> object:
-    """A document of the same shape, in which some numbers are others that might be."""
+    """A document of nearly the same shape, in which some numbers are others that might be, and lists have lost some."""
     if isinstance(said, dict):
         return {key: _another_number(dice, value) for key, value in said.items()}
     if isinstance(said, list):
-        return [_another_number(dice, value) for value in said]
+        kept = said[: dice.randrange(len(said))] if said and dice.random() < 0.05 else said
+        return [_another_number(dice, value) for value in kept]
     return dice.choice(NUMBERS) if is_number(said) and dice.random() < 0.1 else said
 
 

@@ -77,6 +77,7 @@ TROUBLES: dict[str, Trouble] = {
     "something else switches": _again("say", "cmnd/ev-plug/POWER TOGGLE", 1.0, 11),
 }
 ONLY_TASMOTA = ("something else switches",)
+PROGRAMS = ("broker gone", "broker flaps", "plugd killed", "plugd stopped", "plugd restarted")
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,6 +106,8 @@ def week(seed: int, folder: Path) -> Week:
     happened = []
     for night in range(NIGHTS):
         chosen = tuple(dice.sample(names, dice.choices((0, 1, 2), (1, 6, 3))[0]))
+        if all(name in PROGRAMS for name in chosen):  # one at a time: nobody can stop what is stopped already
+            chosen = chosen[:1]
         for name in chosen:
             begins_min = dice.uniform(EVENING_MIN, LAST_MIN)
             rows = TROUBLES[name](dice)
@@ -122,10 +125,8 @@ def week(seed: int, folder: Path) -> Week:
         "look_s": LOOK_S,
         "config": {"planner": {"child": False}},
         "faults": faults,
-        "promises": [
-            *({"morning": MINIMUM_PCT, "to": f"{night}/07:00"} for night in range(NIGHTS)),
-            {"never_above_pct": 80},
-        ],
+        # No ceiling: a relay that sticks, and the timer of a plug that hears nobody, charge to the car's own end.
+        "promises": [{"morning": MINIMUM_PCT, "to": f"{night}/07:00"} for night in range(NIGHTS)],
     }
     path = folder / f"week_{seed:03d}.yaml"
     path.write_text(json.dumps(document), encoding="utf-8")  # JSON is YAML
