@@ -27,6 +27,7 @@ from plugd.planner.exact import Exact
 from plugd.scoring import Scoring
 from plugd.study.house import FunctionSource, House
 from plugd.study.world import Driver
+from plugd.units import HALF_HOUR
 from tests.fuzz_plugs import WILD, mutated, swapped
 from tests.fuzz_words import Count, readable
 
@@ -194,7 +195,7 @@ def _looked(folder: Path) -> None:
         lambda store: tuple(store.issued(since)),
         lambda store: store.history(since),
         lambda store: store.measured(since),
-        lambda store: store.outlooks(since),
+        lambda store: [store.outlook(START + k * HALF_HOUR) for k in range(96)],
         lambda store: store.tallies(since.date()),
         lambda store: (store.past(), store.days(), store.scored(), store.latest_forecast()),
     )
