@@ -76,7 +76,7 @@ COMPONENTS = {
         lambda: find_mosquitto(os.environ.get("PATH", "")), "sudo apt install mosquitto", ("mosquitto",)
     ),
     "data": Component(find_data, "set PLUGD_DATA to the folder with neso_national_2023.csv", ("neso_data",)),
-    "dask": Component(find_dask, "pip install 'plugd[dask]', or set up by make", ()),
+    "dask": Component(find_dask, "pip install '.[dask]', or set up by make", ()),
     "chromium": Component(
         lambda: find_chromium() if find_chromedriver() else None,
         "sudo apt install chromium chromium-driver",
