@@ -4,12 +4,13 @@ Everything written while it runs is gone with it; the root itself is made once a
 """
 
 import os
+import re
 import shlex
 import shutil
 import subprocess
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -129,12 +130,15 @@ def booted(suite: str, architecture: str, packages: Path) -> Iterator[Machine]:
 
 
 def _leader(nspawn: "subprocess.Popen[bytes]") -> int:
+    """The init of the root: at first nspawn has another child, which only makes that one and ends."""
     children = Path(f"/proc/{nspawn.pid}/task/{nspawn.pid}/children")
     for _ in range(100):
         if nspawn.poll() is not None:
             raise Failed(f"systemd-nspawn ended with {nspawn.returncode}; try it by hand: it says why")
-        if found := children.read_text(encoding="ascii").split():
-            return int(found[0])
+        for child in children.read_text(encoding="ascii").split():
+            with suppress(OSError):  # it has ended meanwhile
+                if re.search(r"^NSpid:.*\t1$", Path(f"/proc/{child}/status").read_text(encoding="utf-8"), re.MULTILINE):
+                    return int(child)
         time.sleep(0.1)
     raise Failed("systemd-nspawn starts nothing")
 
