@@ -49,10 +49,11 @@ from plugd.planner.exact import Exact
 from plugd.remedies import KNOWN
 from plugd_hil.broker import Mosquitto
 from tests.fakes import FakeClock
-from tests.programs import Listener
+from tests.programs import PATIENCE_S, Listener
 from tests.unit.deciding import HOME, NIGHT, Box, Disk, Source, at, forecast, knows, minutes
 
-SOON_S = 5.0
+SOON_S = PATIENCE_S
+"""Only a limit: nothing waits longer than it must, and on a busy or an emulated machine five seconds were too few."""
 
 
 class SomeNumber:

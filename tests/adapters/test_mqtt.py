@@ -20,10 +20,11 @@ from plugd.adapters.mqtt_client import V5, V311
 from plugd.adapters.twin import AT_PEACE_S, MOST_SOON, Twin
 from plugd.adapters.twin import SOON_S as ENDS_SOON_S
 from plugd_hil.broker import HOST, Amqtt, BrokerProcess, Mosquitto, find_mosquitto, free_port
+from tests.programs import PATIENCE_S
 from tests.unit.deciding import HOME
 
 Connect = Callable[..., MqttConnection]
-SOON_S = 5.0
+SOON_S = PATIENCE_S
 
 
 @pytest.fixture

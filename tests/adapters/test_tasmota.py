@@ -22,8 +22,9 @@ from plugd.errors import PlugFault, PlugTimeout
 from plugd_hil.broker import Mosquitto
 from tests.contract.rigs import StubPlug
 from tests.fakes import MIDNIGHT
+from tests.programs import PATIENCE_S
 
-SOON_S = 5.0
+SOON_S = PATIENCE_S
 
 
 # -- words ----------------------------------------------------------------------------------------
