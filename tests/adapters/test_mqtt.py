@@ -330,8 +330,8 @@ def test_a_plain_port_is_never_taken_for_a_safe_one(
     mosquitto: Mosquitto, clients: Callable[[MqttConnection], MqttConnection]
 ) -> None:
     connection = clients(MqttConnection(Broker(mosquitto.host, mosquitto.port, tls=True), "ours"))
-    assert not connection.wait_connected(1.0)
-    assert connection.refusal is not None
+    assert until(connection, lambda: connection.refusal is not None)
+    assert not connection.connected
 
 
 def test_a_real_broker_of_the_older_version(

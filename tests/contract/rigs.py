@@ -6,7 +6,6 @@ import sys
 from collections.abc import Callable, Iterator
 from datetime import timedelta
 from functools import partial
-from pathlib import Path
 from typing import Protocol
 
 from plugd import daemon
@@ -21,9 +20,9 @@ from plugd_hil.plug import parser as stub_parser
 from plugd_hil.plug import plug_at
 from tests.contract.can_rig import can_slcan
 from tests.fakes import FakeCharger, FakeClock, FakePlug
+from tests.programs import environment
 from tests.wire import Wire, WireClock
 
-HIL = Path(__file__).resolve().parents[2] / "hil"
 KINDS = ("tasmota", "shelly2", "openevse", "mqtt", "shelly1", "zigbee2mqtt", "esphome")
 POWER_KW = 50.0
 """Then a second of charging shows on a meter that counts in Wh."""
@@ -124,7 +123,7 @@ class StubPlug:
         at = f"{broker.host}:{broker.port}"
         self._process = subprocess.Popen(
             [sys.executable, "-m", "plugd_hil.plug", "--broker", at, "--stdin", *options],
-            env={"PYTHONPATH": f"{HIL}:{HIL.parent}", "OMP_NUM_THREADS": "1"},
+            env=environment(),  # wherever the libraries are
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
