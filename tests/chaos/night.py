@@ -298,12 +298,17 @@ class Night:
 
     def _arrive(self) -> None:
         self.car.arrive()
-        battery = self.car.battery
-        self.reach = Battery(battery.capacity_kwh, battery.energy_kwh, battery.efficiency)
+        told = self.tells_presence and self.cycle is not None and self.plug.broker
+        self.at(self.clock.at if told else max(self.clock.at, self.session.start), self._could_charge)
         if self.tells_presence:
             self.say(SetConnected(True))
         if self.tells_soc:
-            self.say(SetSoc(battery.soc, source="car"))
+            self.say(SetSoc(self.car.battery.soc, source="car"))
+
+    def _could_charge(self) -> None:
+        """From now on somebody can know that the car is there: told so, or at the earliest of its usual times."""
+        battery = self.car.battery
+        self.reach = Battery(battery.capacity_kwh, battery.energy_kwh, battery.efficiency)
 
     def outcome(self, faults: tuple[str, ...]) -> Outcome:
         """Judge it."""
