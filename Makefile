@@ -6,6 +6,7 @@ PYTHON ?= python3
 VENV ?= .venv
 ARGS ?=
 STORE ?=
+CAN_WEEK ?=
 # Real hubs for `make hub-test`. Home Assistant wants Python 3.13 or newer; without Node-RED its part is left out.
 HASS ?= .venv-hass/bin/hass
 HASS_PYTHON ?= python3.13
@@ -62,7 +63,7 @@ broken: $(READY) ## weeks with a broken API on measured intensity ($PLUGD_DATA):
 	$(VENV)/bin/python -m tests.broken_api $(ARGS)
 
 can-week: $(READY) ## a week of the demo with the charger on CAN: no morning missed
-	$(VENV)/bin/python tests/can_week.py
+	$(VENV)/bin/python tests/can_week.py $(CAN_WEEK)
 
 can-fuzz: $(READY) ## a million frames at random against the charger on CAN
 	$(VENV)/bin/python -m tests.fuzz_can $(ARGS)
