@@ -645,6 +645,7 @@ class Line:
         heard = late.subscribe(("plugd/ev/#", Retained.REPLAYED))
         late.flush()
         found = heard.take()
+        late.close()  # of two with one name each would push the other out
         assert all(message.retain for message in found)
         return {m.topic.removeprefix("plugd/ev/"): _read(m.payload) for m in found}
 
