@@ -87,7 +87,7 @@ def _rewritten(said: Said, keys: tuple[str, ...], change: Change) -> str:
     """The payload with every value under these keys changed."""
     try:
         document = json.loads(said.payload)
-    except ValueError:
+    except (ValueError, RecursionError):  # its own noise is as deep as it likes
         document = said.payload
     tail = said.topic.rsplit("/", 1)[-1]
     if not isinstance(document, dict):

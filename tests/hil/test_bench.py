@@ -95,6 +95,13 @@ def test_a_lie_about_the_relay_is_in_the_plugs_own_word(topic: str, payload: str
     assert faults.pass_on([Said(topic, payload)], START)[0].payload == lied
 
 
+def test_a_lie_leaves_noise_as_it_is() -> None:
+    faults = PlugFaults(0)
+    faults.told("lie energy 1")
+    noise = Said("tele/p/SENSOR", "[" * 100_000)
+    assert faults.pass_on([noise], START)[0] == noise
+
+
 def test_what_is_late_comes_in_order_and_at_its_time() -> None:
     faults = PlugFaults(0)
     faults.told("late 3")
