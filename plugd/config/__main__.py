@@ -1,6 +1,6 @@
 """`python -m plugd.config FILE`: reads the file for `plugd.config.handed`, and says on stdout what it found."""
 
-import pickle
+import pickle  # nosec B403 # it only writes
 import sys
 from pathlib import Path
 from typing import Any

@@ -4,7 +4,7 @@ Pydantic and the models of the file take 9 MiB and are wanted for a fifth of a s
 frozen as the models are, and has nothing of their methods.
 """
 
-import pickle
+import pickle  # nosec B403 # what our own child wrote is read
 import subprocess
 import sys
 from collections.abc import Mapping
@@ -31,7 +31,7 @@ def load(path: Path) -> "Config":
     command = [sys.executable, "-m", "plugd.config", str(path)]
     try:
         said = subprocess.run(command, stdout=subprocess.PIPE, timeout=PATIENCE_S, check=True).stdout
-        found: Config | ConfigError = pickle.loads(said)
+        found: Config | ConfigError = pickle.loads(said)  # nosec B301 # from our own child, by a pipe
     except (OSError, subprocess.SubprocessError, EOFError, pickle.UnpicklingError):
         from plugd.config import loading  # noqa: PLC0415 - what the daemon is otherwise spared
 
