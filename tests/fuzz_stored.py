@@ -13,6 +13,7 @@ import zlib
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import TypeVar
 
 from plugd.adapters.kept_twice import COPY, OLDER, KeptTwice, sealed
 from plugd.adapters.starts import FILE as STARTS
@@ -33,6 +34,7 @@ from tests.fuzz_words import Count, readable
 
 START = datetime(2023, 3, 6, 12, tzinfo=UTC)
 LIVED = timedelta(days=2)
+Found = TypeVar("Found")
 AFTERWARDS = timedelta(minutes=70)
 MOST_S = 20.0
 """Of processor, for one of them: whoever walks through centuries half hour by half hour is stuck."""
@@ -117,9 +119,10 @@ def _cell(dice: random.Random, folder: Path) -> None:
             table = dice.choice(tables)
             columns = [row[1] for row in db.execute(f"PRAGMA table_info({table})")]
             column = dice.choice(columns)
-            found = db.execute(f"SELECT rowid, {column} FROM {table} ORDER BY random() LIMIT 1").fetchone() if (
+            rows = db.execute(f"SELECT rowid, {column} FROM {table}").fetchall() if (
                 table not in ("seen", "day", "score", "scored")
-            ) else None  # fmt: skip
+            ) else ()  # fmt: skip
+            found = dice.choice(rows) if rows else None
             was = found[1] if found else db.execute(f"SELECT {column} FROM {table} LIMIT 1").fetchone()
             where = f"rowid = {found[0]}" if found else "1"
             try:
@@ -174,16 +177,21 @@ def _begin(folder: Path) -> bool:
     safe = Starts(folder).begun(at)
     with KeptTwice(folder) as store:
         house = _house(store, at)
-        try:
-            memory, forecast = store.load(), store.latest_forecast()
-        except StoreError as error:
-            readable(error, folder)
-            memory, forecast = None, None
+        memory, forecast = _read(store.load, folder), _read(store.latest_forecast, folder)
         house.cycle.memory, house.cycle.forecast = memory or house.cycle.memory, forecast
         house.cycle.__post_init__()
         house.cycle.controller.safe = safe
         house.run(at + AFTERWARDS)
     return memory is not None
+
+
+def _read(read: Callable[[], Found | None], folder: Path) -> Found | None:
+    """Each by itself: what one table has lost is no reason to do without the other."""
+    try:
+        return read()
+    except StoreError as error:
+        readable(error, folder)
+        return None
 
 
 def _looked(folder: Path) -> None:
