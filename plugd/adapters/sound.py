@@ -10,16 +10,17 @@ from typing import Any
 
 from plugd.units import is_number
 
-EARLIEST, LATEST = datetime(1970, 1, 1, tzinfo=UTC), datetime(2200, 1, 1, tzinfo=UTC)
-"""A machine without a clock begins in 1970."""
+EARLIEST, LATEST = datetime(1800, 1, 1, tzinfo=UTC), datetime(2200, 1, 1, tzinfo=UTC)
+"""A clock that ran ahead by up to all of this and is set right takes what was long ago along, see `wall.shifted`."""
 MOST_NUMBER, MOST_ITEMS = 1e9, 2000
 WITHIN = {
-    **dict.fromkeys(("mean", "minimum", "soc_end", "car_said", "doubted"), (-0.001, 1.001)),
+    **dict.fromkeys(("mean", "minimum", "car_said", "doubted"), (-0.001, 1.001)),
     **dict.fromkeys(("power_kw", "peak_kw", "last_kw"), (-0.001, 10_000.0)),
     "observed_kw": (0.01, 10_000.0),
     "horizon": (1, 7),
 }
-"""What some numbers must lie within, wherever they stand, if they are not 0."""
+"""What some numbers must lie within, wherever they stand, if they are not 0. A plan's `soc_end` is none of them: where
+more is driven than can be charged, its later nights end below empty."""
 
 
 def objection(value: Any, name: str = "memory") -> str | None:

@@ -18,11 +18,14 @@ from plugd.adapters import store as store_module
 from plugd.adapters import store_past
 from plugd.adapters.store import SqliteStore
 from plugd.adapters.store_pack import pack, unpack
+from plugd.controller import Controller
 from plugd.domain import (
+    Capability,
     Forecast,
     Intensity,
     Memory,
     Mode,
+    Observation,
     Outlook,
     OutlookSlot,
     Overrides,
@@ -30,6 +33,7 @@ from plugd.domain import (
     Plan,
     PlanSlot,
     Presence,
+    Reading,
     Record,
     Session,
     SessionPlan,
@@ -43,8 +47,12 @@ from plugd.domain import (
 )
 from plugd.errors import AlreadyRunning, StoreError
 from plugd.ledger import HalfHour
+from plugd.perception import fresh
+from plugd.planner.exact import Exact
 from plugd.ports import Store, Tally
 from plugd.units import HALF_HOUR
+from plugd.wall import shifted
+from tests.unit.deciding import HOME
 
 T0 = datetime(2023, 3, 14, 17, 0, tzinfo=UTC)
 SOC = SocEstimate(mean=0.43, sd=0.02, source="hub", told_at=T0, driven_to=T0, meter_kwh=123.456)
@@ -153,6 +161,24 @@ def test_a_memory_that_could_not_be_read_again_is_refused_and_the_last_one_stays
         with pytest.raises(StoreError, match="cannot be saved"):
             store.save(replace(FULL, observed_kw=float("nan")))
         assert store.load() == FULL
+
+
+def test_a_plan_for_more_than_can_be_charged_is_kept_as_any_other(tmp_path: Path) -> None:
+    """6 A at an old socket, and 75 km a day: by the fourth night it counts on less than nothing."""
+    home = replace(HOME, capability=Capability(1.4, dead_man=True), car=replace(HOME.car, daily_use_kwh=15.0))
+    planned = Controller(home, Exact()).tick(T0, Observation(reading=Reading(T0, False)), fresh(T0)).memory
+    assert planned.plan is not None
+    assert planned.plan.sessions[-1].soc_end < -0.05
+    with SqliteStore(tmp_path) as store:
+        store.save(planned)
+        assert store.load() == planned
+
+
+def test_what_was_said_long_ago_is_kept_after_a_clock_of_2150_was_set_right(tmp_path: Path) -> None:
+    memory = shifted(FULL, T0 - datetime(2150, 1, 1, tzinfo=UTC))
+    with SqliteStore(tmp_path) as store:
+        store.save(memory)
+        assert store.load() == memory
 
 
 def test_an_unreadable_memory_is_an_error_and_the_next_save_mends_it(tmp_path: Path) -> None:
