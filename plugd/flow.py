@@ -37,7 +37,8 @@ def seen(now: datetime, reading: Reading, memory: Memory, household: Household) 
     if household.capability.modulating:
         return memory
     found = replace(_over(now, reading, memory.flow, household), leak=_leak(now, reading, memory.flow.leak))
-    return replace(memory, flow=_idle(now, reading, found, _on_since(now, memory)))
+    on_since = now if reading.came_back else _on_since(now, memory)
+    return replace(memory, flow=_idle(now, reading, found, on_since))
 
 
 def _over(now: datetime, reading: Reading, flow: Flow, household: Household) -> Flow:

@@ -319,6 +319,20 @@ def test_a_plugd_that_was_started_anew_knows_since_when_nothing_flows() -> None:
     assert perceive(NIGHT, told(NIGHT, 0.0), replace(memory, relay_on=False), SOCKET).flow.idle_since == NIGHT
 
 
+def test_a_car_is_given_time_to_begin_again_after_a_power_cut() -> None:
+    charging = replace(
+        knows(0.42, NIGHT), relay_on=True, relay_since=NIGHT - minutes(90), presence=Presence(True, EVENING)
+    )
+    back = replace(told(NIGHT, 0.0), came_back=True)
+    memory = watch([told(NIGHT - minutes(1)), back], memory=charging)
+    assert memory.flow.idle_since == NIGHT
+    assert flow.faults(NIGHT, memory, SOCKET) == ()
+    assert decide(NIGHT, memory, SOCKET).cause is not Cause.WAKE
+    soon = NIGHT + seconds(30)
+    off = perceive(soon, replace(told(soon, 0.0, on=False), changed_by_other=False), memory, SOCKET)
+    assert off.press is not None, "somebody's off counts"
+
+
 def test_a_press_ends_the_waking() -> None:
     memory, now = idle()[0], NIGHT + minutes(15)
     woken = decide(now, memory, SOCKET).memory
