@@ -19,6 +19,8 @@ from paho.mqtt.reasoncodes import ReasonCode
 from plugd.adapters.bell import Doorbell
 from plugd.adapters.mailbox import Mailbox, Message, Retained
 from plugd.adapters.mqtt_client import (
+    NO_REASON,
+    NOT_UNDERSTOOD,
     TAKEN_OVER,
     V5,
     V311,
@@ -31,7 +33,7 @@ from plugd.adapters.mqtt_client import (
     subscribe,
     trouble,
 )
-from plugd.adapters.twin import Twin
+from plugd.adapters.twin import SOON_S, Twin
 
 __all__ = ["Broker", "Mailbox", "Message", "MqttConnection", "Retained"]
 
@@ -76,7 +78,9 @@ class MqttConnection:
         self._closing = threading.Event()
         self._version = V5
         self._client: Client | None = None
-        self._answered = self._told = False
+        self._answered = False
+        self._told: bool | None = None
+        """Whether the connection ended for another of our name; None: nobody said why."""
         self._made_s = 0.0
         self._sent: dict[int, str] = {}
         self._acks: dict[int, ReasonCode] = {}
@@ -165,11 +169,12 @@ class MqttConnection:
         shortest_s, longest_s = self._retry_s
         delay_s = shortest_s / 2.0
         while not self._closing.is_set():
-            before, self._answered, self._told = self.session, False, False
+            before, self._answered, self._told = self.session, False, None
             try:
                 self._stay()
             except (OSError, ValueError, LookupError, struct.error, MQTTException) as error:
                 self._trouble(trouble(error, self.broker))
+                self._told = None if isinstance(error, OSError) else False  # what it sends cannot be read
             else:
                 if not self._answered:
                     self._trouble(f"{self.broker} does not answer as an MQTT broker")
@@ -178,17 +183,18 @@ class MqttConnection:
                     self._trouble(f"{self.broker} has closed the connection")
             self._client = None
             self._lost()
-            delay_s = shortest_s if self.session > before else min(2.0 * delay_s, longest_s)
-            pushed = self._pushed_out(self.session > before)
+            lasted_s = time.monotonic() - self._made_s if self.session > before else 0.0
+            delay_s = shortest_s if lasted_s >= SOON_S else min(2.0 * delay_s, longest_s)
+            pushed = self._pushed_out(self.session > before, lasted_s)
             wait_s = 0.0 if self.twin.suspected else delay_s
             self._closing.wait(self.twin.away_s(longest_s) if pushed else wait_s)
 
-    def _pushed_out(self, made: bool) -> bool:
+    def _pushed_out(self, made: bool, lasted_s: float) -> bool:
         """Whether the connection that has just ended, if one was `made`, has ended for another of our name."""
         if not made:
             self.twin.not_made()
             return False
-        if not self.twin.ended(time.monotonic() - self._made_s, self._told):
+        if not self.twin.ended(lasted_s, self._told):
             return False
         self._trouble(f"another program is at {self.broker} as {self.name}, and pushes this one out; stop one of them")
         return True
@@ -233,7 +239,10 @@ class MqttConnection:
     def _on_disconnect(
         self, _client: Client, _userdata: Any, flags: DisconnectFlags, reason: ReasonCode, _properties: Any
     ) -> None:
-        self._told = flags.is_disconnect_packet_from_server and reason.value == TAKEN_OVER
+        told = flags.is_disconnect_packet_from_server and reason.value not in NO_REASON
+        if self.connected and (told or reason.value == NOT_UNDERSTOOD):
+            self._told = reason.value == TAKEN_OVER
+            self._trouble(f"the connection to {self.broker} has ended: {reason}")
         self._lost()
 
     def _on_message(self, _client: Client, _userdata: Any, message: MQTTMessage) -> None:

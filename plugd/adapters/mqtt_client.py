@@ -19,6 +19,8 @@ KEEPALIVE_S = 30
 MAX_PACKET_BYTES = 16 * 1024
 """What an MQTT 5 broker may send us at all."""
 WRONG_VERSION, TAKEN_OVER, NOBODY_LISTENS = 0x84, 0x8E, 0x10
+NO_REASON, NOT_UNDERSTOOD = (0x00, 0x80), 0x82
+"""What a broker says as it closes, and means nothing; and what paho says where it closes on words that are no MQTT."""
 SECRET = "see [broker] username and password_file"  # nosec B105 # where it is, not what
 REFUSALS = {
     0x86: f"it does not accept this user name and password; {SECRET}",

@@ -23,11 +23,14 @@ class Twin:
     """How often in a row; 0: as far as is known there is no other."""
     _soon: int = 0
 
-    def ended(self, lasted_s: float, told: bool) -> bool:
-        """A connection has ended, `told` that it was for another of our name. Returns whether we were pushed out."""
+    def ended(self, lasted_s: float, told: bool | None) -> bool:
+        """A connection has ended. Returns whether we were pushed out.
+
+        `told`: that it was for another of our name, or (False) for something else; None: nobody said why.
+        """
         self.lasting(lasted_s)
-        self._soon = self._soon + 1 if lasted_s < SOON_S else 0
-        pushed = told or self._soon >= MOST_SOON
+        self._soon = self._soon + 1 if lasted_s < SOON_S and told is None else 0
+        pushed = told is True or self._soon >= MOST_SOON
         if pushed:
             self.pushed_out, self._soon = self.pushed_out + 1, 0
         return pushed

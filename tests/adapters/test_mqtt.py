@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -56,6 +57,11 @@ def connect(mosquitto: Mosquitto, clients: Callable[[MqttConnection], MqttConnec
 def until(connection: MqttConnection, so: Callable[[], bool]) -> bool:
     """Wait on the connection until something is so."""
     return connection.bell.hold(so, SOON_S)
+
+
+def ended(connection: MqttConnection, number: int) -> bool:
+    """Whether it has been connected more often than that, and is no more."""
+    return connection.session > number and not connection.connected
 
 
 def broker_with(tmp_path: Path, lines: str) -> BrokerProcess:
@@ -244,12 +250,32 @@ def test_who_is_pushed_out_stays_away_says_so_and_does_not_fight(
 def test_a_twin_is_told_from_a_broker_that_goes_and_comes() -> None:
     twin = Twin()
     for _ in range(5 * MOST_SOON):  # it restarts again and again, and is away in between
-        assert not twin.ended(0.5, told=False)
+        assert not twin.ended(0.5, told=None)
         twin.not_made()
-    assert [twin.ended(0.5, told=False) for _ in range(MOST_SOON)] == [False] * (MOST_SOON - 1) + [True]
-    assert [twin.ended(ENDS_SOON_S, told=False), twin.pushed_out] == [False, 1], "one that lasts is not soon"
+    assert [twin.ended(0.5, told=None) for _ in range(MOST_SOON)] == [False] * (MOST_SOON - 1) + [True]
+    assert [twin.ended(ENDS_SOON_S, told=None), twin.pushed_out] == [False, 1], "one that lasts is not soon"
     twin.lasting(AT_PEACE_S)
     assert twin.pushed_out == 0
+
+
+@pytest.mark.parametrize("end", ["e0028700", "30ffffffffff"], ids=["not allowed", "nonsense"])
+def test_an_end_whose_cause_is_known_is_no_twins_and_is_not_hurried_after(
+    clients: Callable[[MqttConnection], MqttConnection], end: str
+) -> None:
+    """Its access list, or what it keeps for us, ends each connection as it begins: we ask again, ever later."""
+    with socket.create_server((HOST, 0)) as server:
+        connection = clients(MqttConnection(Broker(HOST, server.getsockname()[1]), "ours", retry_s=(0.05, 1.0)))
+        for number in range(MOST_SOON + 1):
+            began_s = time.perf_counter()
+            broker, _ = server.accept()
+            with broker:
+                broker.recv(1024)
+                broker.sendall(bytes.fromhex("2003000000" + end))
+                assert until(connection, partial(ended, connection, number))
+        assert connection.twin.pushed_out == 0
+        assert "another program" not in str(connection.refusal)
+        assert time.perf_counter() - began_s > 0.15
+        connection.close()
 
 
 def test_each_time_it_stays_away_for_longer() -> None:
