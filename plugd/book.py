@@ -20,12 +20,13 @@ KEPT_NIGHTS = 35
 
 
 def of_this_time(rows: Sequence[HalfHour], now: datetime) -> tuple[HalfHour, ...]:
-    """The half hours without those of a clock that ran ahead: they lie beyond a gap, and now lies in it.
+    """The half hours without those of a clock that ran ahead: they lie beyond a gap, and now lies in it or before all.
 
     They stay where they are kept: should the clock be wrong now, they are the true ones.
     """
     count = bisect_right(rows, now, key=lambda row: row.start)
-    beyond_gap = 0 < count < len(rows) and rows[count].start - rows[count - 1].start > LONGEST_GAP
+    before = rows[count - 1].start if count else now
+    beyond_gap = count < len(rows) and rows[count].start - before > LONGEST_GAP
     return tuple(rows[:count] if beyond_gap else rows)
 
 

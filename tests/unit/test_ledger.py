@@ -356,6 +356,19 @@ def test_a_clock_that_ran_ahead_and_was_set_right_does_not_stop_the_ledger(resta
     assert ahead.keys() <= shelf.kept.keys(), "nothing is taken out of the store: it may have been right after all"
 
 
+def test_a_first_start_with_a_clock_years_ahead_does_not_stop_the_ledger_for_years() -> None:
+    shelf = Shelf()
+    room = housed(shelf)
+    room.step(START + timedelta(days=1500))
+    room.run(START + timedelta(days=1500, hours=2))
+    assert shelf.kept
+    room.clock.at = START
+    room.plug.ran_to = None
+    room.run(START + timedelta(hours=3))
+    assert book_of(room.cycle).known()[0][0].start == START
+    assert START + timedelta(hours=2) in shelf.kept
+
+
 def test_a_clock_set_back_into_a_time_without_plugd_and_set_right_again_loses_nothing() -> None:
     shelf = Shelf()
     room = housed(shelf)
