@@ -20,6 +20,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
+from plugd.config.handed import python
 from plugd.planner.exact import Exact
 from plugd.planner.problem import Problem, ProblemSession, Solution
 
@@ -43,7 +44,7 @@ class PlannerChild:
 
     def __init__(self, patience_s: float = PATIENCE_S, command: Sequence[str] | None = None) -> None:
         self._patience_s = patience_s
-        self._command = command or (sys.executable, "-m", "plugd.adapters.planner_child")
+        self._command = command or python("plugd.adapters.planner_child")
         self._child: subprocess.Popen[bytes] | None = None
         self._rest_until_s = 0.0
 

@@ -8,6 +8,7 @@ import pickle  # nosec B403 # what our own child wrote is read
 import subprocess
 import sys
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import make_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,9 +27,20 @@ def table(name: str, values: Mapping[str, Any]) -> Any:
     return make_dataclass(name, values, frozen=True)(**values)
 
 
+def python(module: str) -> tuple[str, ...]:
+    """The command of a child, which looks into the current folder only where this process does.
+
+    With -m alone it always would, and run a `token.py` of whoever works there.
+    """
+    with suppress(OSError):  # the folder may be gone
+        if {"", str(Path.cwd())} & set(sys.path):
+            return (sys.executable, "-m", module)
+    return (sys.executable, "-P", "-m", module)
+
+
 def load(path: Path) -> "Config":
     """As `plugd.config.load`, read by a child; by this process where there can be none. Raises ConfigError."""
-    command = [sys.executable, "-m", "plugd.config", str(path)]
+    command = (*python("plugd.config"), str(path))
     try:
         said = subprocess.run(command, stdout=subprocess.PIPE, timeout=PATIENCE_S, check=True).stdout
         found: Config | ConfigError = pickle.loads(said)  # nosec B301 # from our own child, by a pipe

@@ -69,6 +69,15 @@ def test_without_a_process_it_is_read_here(path: Path, child: str, monkeypatch: 
     assert isinstance(handed(path), Config)
 
 
+def test_what_lies_in_the_folder_one_stands_in_is_not_run(
+    path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (path.parent / "fractions.py").write_text("raise SystemExit('somebody else is run')", encoding="utf-8")
+    monkeypatch.chdir(path.parent)
+    assert not isinstance(handed(Path(path.name)), Config)
+    assert capfd.readouterr().err == ""
+
+
 def test_the_daemon_with_its_page_does_without_pydantic(path: Path) -> None:
     program = (
         "import sys, plugd.daemon, plugd.page, plugd.adapters.clock, plugd.web.app, plugd.web.server\n"
