@@ -121,9 +121,13 @@ def sleeps(now: datetime, session: Session | None, memory: Memory, household: Ho
     flow = memory.flow
     if flow.idle_since is None or now - flow.idle_since < _patience(household):
         return False
-    stopped = flow.stopped_at is not None and timedelta(0) <= now - flow.stopped_at < STOPPED
     tried = flow.woken_for == _morning(now, session)
-    return is_idle(now, memory, household) and not (flow.flowed or stopped or tried)
+    return is_idle(now, memory, household) and not (has_stopped(now, flow) or tried)
+
+
+def has_stopped(now: datetime, flow: Flow) -> bool:
+    """Whether the car has taken power since the relay went on, or stopped by itself earlier in this stay."""
+    return flow.flowed or (flow.stopped_at is not None and timedelta(0) <= now - flow.stopped_at < STOPPED)
 
 
 def waking(now: datetime, flow: Flow) -> bool:

@@ -42,7 +42,7 @@ def _seen(now: datetime, reading: Reading, memory: Memory, household: Household)
     One that said "on" and gave nothing, and says "off" now, has only come to tell the truth: nobody pressed.
     """
     power_kw = household.capability.power_max_kw
-    never_flowed = flow.is_idle(now, memory, household) and not (memory.flow.flowed or memory.flow.stopped_at)
+    never_flowed = flow.is_idle(now, memory, household) and not flow.has_stopped(now, memory.flow)
     memory = flow.seen(now, reading, memory, household)
     memory = replace(memory, observed_kw=_observed_kw(reading, memory, household))
     held_back = isinstance(memory.orders, Setpoint) and memory.orders.power_kw < power_kw

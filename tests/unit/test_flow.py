@@ -319,6 +319,17 @@ def test_a_plugd_that_was_started_anew_knows_since_when_nothing_flows() -> None:
     assert perceive(NIGHT, told(NIGHT, 0.0), replace(memory, relay_on=False), SOCKET).flow.idle_since == NIGHT
 
 
+@pytest.mark.parametrize(("hours", "pressed"), [(2, True), (20, False)])
+def test_that_a_car_stopped_last_night_makes_no_press_of_a_relay_that_tells_the_truth_tonight(
+    hours: int, pressed: bool
+) -> None:
+    """It said on and gave nothing, and says off at last. In the night in which the car stopped it may be a person."""
+    memory, now = idle()
+    memory = replace(memory, flow=replace(memory.flow, stopped_at=now - minutes(60 * hours)))
+    off = replace(told(now + seconds(10), 0.0, on=False), changed_by_other=False)
+    assert (perceive(off.at, off, memory, SOCKET).press is not None) is pressed
+
+
 def test_a_car_is_given_time_to_begin_again_after_a_power_cut() -> None:
     charging = replace(
         knows(0.42, NIGHT), relay_on=True, relay_since=NIGHT - minutes(90), presence=Presence(True, EVENING)
