@@ -7,7 +7,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from plugd.config.handed import table
+from plugd.config.handed import MARK, table
 from plugd.config.loading import load
 from plugd.errors import ConfigError
 
@@ -26,6 +26,7 @@ def main() -> int:
         found = load(Path(sys.argv[1]))
     except ConfigError as error:
         found = error
+    sys.stdout.buffer.write(MARK)
     _Values(sys.stdout.buffer).dump(found)
     return 0
 

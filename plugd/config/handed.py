@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 PATIENCE_S = 30.0
 """A slow machine takes some 3 s."""
+MARK = b"\0plugd\0"
+"""What goes before the values: something of the site's may print at every start of Python."""
 
 
 def table(name: str, values: Mapping[str, Any]) -> Any:
@@ -43,7 +45,7 @@ def load(path: Path) -> "Config":
     command = (*python("plugd.config"), str(path))
     try:
         said = subprocess.run(command, stdout=subprocess.PIPE, timeout=PATIENCE_S, check=True).stdout
-        found: Config | ConfigError = pickle.loads(said)  # nosec B301 # from our own child, by a pipe
+        found: Config | ConfigError = pickle.loads(said.partition(MARK)[2])  # nosec B301 # from our own child, by a pipe
     except (OSError, subprocess.SubprocessError, EOFError, pickle.UnpicklingError):
         from plugd.config import loading  # noqa: PLC0415 - what the daemon is otherwise spared
 

@@ -1,5 +1,6 @@
 """The configuration from another process: the same values, the same complaints, and no pydantic in the daemon."""
 
+import os
 import subprocess
 import sys
 from dataclasses import asdict
@@ -76,6 +77,17 @@ def test_what_lies_in_the_folder_one_stands_in_is_not_run(
     monkeypatch.chdir(path.parent)
     assert not isinstance(handed(Path(path.name)), Config)
     assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize("said", ["Site", "cd", "coverage on"])
+def test_what_the_site_prints_at_every_start_is_passed_over(
+    path: Path, said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    site = path.parent / "site"
+    site.mkdir()
+    (site / "sitecustomize.py").write_text(f"print({said!r}, flush=True)", encoding="utf-8")
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join((str(site), *sys.path)))
+    assert not isinstance(handed(path), Config)
 
 
 def test_the_daemon_with_its_page_does_without_pydantic(path: Path) -> None:
