@@ -283,7 +283,7 @@ def test_each_time_it_stays_away_for_longer() -> None:
     for _ in range(9):
         assert twin.ended(60.0, told=True)
         away_s.append(twin.away_s(60.0))
-    assert away_s == [60.0, 120.0, 240.0, 480.0, 960.0, 1920.0, 3600.0, 3600.0, 3600.0]
+    assert away_s == [60.0, 120.0, 240.0, 480.0, 960.0, 1800.0, 1800.0, 1800.0, 1800.0]
 
 
 @pytest.mark.parametrize("answer", ["", "20020001"], ids=["hangs up", "refuses"])
