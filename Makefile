@@ -7,6 +7,7 @@ VENV ?= .venv
 ARGS ?=
 STORE ?=
 CAN_WEEK ?=
+PLUGS ?=
 # Real hubs for `make hub-test`. Home Assistant wants Python 3.13 or newer; without Node-RED its part is left out.
 HASS ?= .venv-hass/bin/hass
 HASS_PYTHON ?= python3.13
@@ -51,7 +52,7 @@ weeks: $(READY) ## the README's four weeks on measured intensity ($PLUGD_DATA), 
 	$(VENV)/bin/python tests/four_weeks.py
 
 plugs: $(READY) ## every plug: the whole contract suite, and a simulated week of each
-	$(VENV)/bin/python -m pytest --every-plug tests/contract tests/hil/test_every_plug.py $(ARGS)
+	$(VENV)/bin/python -m pytest --every-plug $(PLUGS) tests/contract tests/hil/test_every_plug.py $(ARGS)
 
 deadman: $(READY) ## plugd killed at each quarter hour of many nights: the plug charges the car alone
 	$(VENV)/bin/python -m tests.dead_man $(ARGS)

@@ -96,6 +96,7 @@ LONGEST_FIRST = ("study", "hil", "adapters")
 def pytest_addoption(parser: pytest.Parser) -> None:
     """What takes too long for every run."""
     parser.addoption("--every-plug", action="store_true", help="the whole contract suite, and a week, of every plug")
+    parser.addoption("--plug-days", type=int, default=7, help="how long that week is")
 
 
 def pytest_configure(config: pytest.Config) -> None:

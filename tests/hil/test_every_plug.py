@@ -14,7 +14,8 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """All of them where they are asked for."""
     every = metafunc.config.getoption("--every-plug")
     kinds = [kind for kind in DIALECTS if kind != "tasmota"] if every else ["shelly2"]
-    metafunc.parametrize(("kind", "days"), [(kind, 7 if every else 2) for kind in kinds])
+    days = metafunc.config.getoption("--plug-days") if every else 2
+    metafunc.parametrize(("kind", "days"), [(kind, days) for kind in kinds])
 
 
 @pytest.mark.requires("mosquitto")
