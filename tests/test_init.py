@@ -645,8 +645,10 @@ def test_a_person_at_a_terminal_is_led_through(plugged: Mosquitto, tmp_path: Pat
         seat.until('miles" [5.8]: ')
         seat.type("a lot")
         assert "kWh a day are wanted" in seat.until("[5.8]: ")
-        for _ in range(6):
+        for _ in range(5):  # keys that come between two prompts may be lost
             seat.type("")
+            seat.until("]: ")
+        seat.type("")
         seat.until("Folder for what plugd learns [")
         seat.type(str(tmp_path / "state"))
         assert f"{path} is written" in seat.until("Look now whether all of it works? [Y/n]: ")
