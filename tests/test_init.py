@@ -577,6 +577,12 @@ class Seat:
         """Keys, and Enter."""
         os.write(self._ours, f"{text}\r".encode())
 
+    def enter(self, times: int) -> None:
+        """Enter, at each question when it is asked: keys that come between two may be lost."""
+        for _ in range(times):
+            self.type("")
+            self.until("]: ")
+
     def press(self, key: bytes) -> None:
         """One key that ends it: again where it came between the prompt and the reading of keys, and was lost."""
         for _ in range(int(PATIENCE_S)):
@@ -645,9 +651,7 @@ def test_a_person_at_a_terminal_is_led_through(plugged: Mosquitto, tmp_path: Pat
         seat.until('miles" [5.8]: ')
         seat.type("a lot")
         assert "kWh a day are wanted" in seat.until("[5.8]: ")
-        for _ in range(5):  # keys that come between two prompts may be lost
-            seat.type("")
-            seat.until("]: ")
+        seat.enter(5)
         seat.type("")
         seat.until("Folder for what plugd learns [")
         seat.type(str(tmp_path / "state"))

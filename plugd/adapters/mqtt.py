@@ -184,8 +184,11 @@ class MqttConnection:
             self._client = None
             self._lost()
             lasted_s = time.monotonic() - self._made_s if self.session > before else 0.0
-            delay_s = shortest_s if lasted_s >= SOON_S else min(2.0 * delay_s, longest_s)
-            pushed = self._pushed_out(self.session > before, lasted_s)
+            made = self.session > before
+            # A restart of the broker is over soon; what it objects to at once, it will object to again.
+            at_once = made and self._told is False and lasted_s < SOON_S
+            delay_s = shortest_s if made and not at_once else min(2.0 * delay_s, longest_s)
+            pushed = self._pushed_out(made, lasted_s)
             wait_s = 0.0 if self.twin.suspected else delay_s
             self._closing.wait(self.twin.away_s(longest_s) if pushed else wait_s)
 
