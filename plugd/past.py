@@ -12,7 +12,7 @@ from plugd.domain import Intensity, PastRow
 from plugd.errors import ForecastError, ForecastLate, ForecastMalformed
 from plugd.plausible import doubt
 from plugd.ports import Archive, PastSource
-from plugd.retry import Retry
+from plugd.retry import Retry, waits
 from plugd.units import slot_start
 
 HISTORY = timedelta(days=56)
@@ -27,8 +27,7 @@ LOOK_AGAIN = timedelta(hours=1)
 RECENT = timedelta(hours=2)
 """So new that it may not be measured yet."""
 RETRY_S = (60.0, 600.0, 3600.0, 21600.0)
-FARTHEST = 1.5 * timedelta(seconds=RETRY_S[-1])
-"""The longest pause that there is: a moment farther ahead is from before the clock was set back."""
+LONGEST_PAUSE = 1.5 * timedelta(seconds=RETRY_S[-1])
 _GRID = datetime(2020, 1, 1, tzinfo=UTC)
 
 Page = tuple[datetime, datetime]
@@ -61,7 +60,7 @@ class CatchUp:
         """Ask for one page where one is due; with `wait` a moment later. Raises StoreError."""
         if self.at is None or (wait and self.at <= now):
             self.at = now + PAUSE
-        if now < self.at <= now + FARTHEST:
+        if waits(now, self.at, LONGEST_PAUSE):
             return
         self.at = now + LOOK_AGAIN
         if not self.waiting:

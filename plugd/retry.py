@@ -4,6 +4,11 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 
 
+def waits(now: datetime, at: datetime, longest: timedelta) -> bool:
+    """Whether to wait until `at`. What is farther ahead than the longest wait is from before the clock was set back."""
+    return now < at <= now + longest
+
+
 def _nth(delays_s: tuple[float, ...], failures: int) -> timedelta:
     """The pause after the n-th failure in a row."""
     return timedelta(seconds=delays_s[min(failures, len(delays_s)) - 1])
@@ -31,5 +36,5 @@ class Retry:
         self.failures, self.at = 0, None
 
     def due(self, now: datetime) -> bool:
-        """Whether it may be tried now. A moment too far ahead is from before the clock was set back."""
-        return self.at is None or not now < self.at <= now + 1.5 * _nth(self.delays_s, self.failures)
+        """Whether it may be tried now."""
+        return self.at is None or not waits(now, self.at, 1.5 * _nth(self.delays_s, self.failures))

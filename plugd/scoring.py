@@ -12,6 +12,7 @@ from itertools import pairwise
 
 from plugd.domain import Forecast
 from plugd.ports import Scores, Tally
+from plugd.retry import waits
 from plugd.score import LEADS_H, LeadScore
 from plugd.units import HALF_HOUR, hours, slot_start
 
@@ -93,7 +94,7 @@ class Scoring:
         """Score one day where one is due; with `wait` a moment later. Raises StoreError."""
         if self.at is None or (wait and self.at <= now):
             self.at = now + PAUSE
-        if now < self.at <= now + 2 * LOOK_AGAIN:
+        if waits(now, self.at, 2 * LOOK_AGAIN):
             return
         self.at = now + LOOK_AGAIN
         last = (now - SETTLED).date() - DAY

@@ -183,8 +183,8 @@ class MqttConnection:
                     self._trouble(f"{self.broker} has closed the connection")
             self._client = None
             self._lost()
-            lasted_s = time.monotonic() - self._made_s if self.session > before else 0.0
             made = self.session > before
+            lasted_s = time.monotonic() - self._made_s if made else 0.0
             # A restart of the broker is over soon; what it objects to at once, it will object to again.
             at_once = made and self._told is False and lasted_s < SOON_S
             delay_s = shortest_s if made and not at_once else min(2.0 * delay_s, longest_s)

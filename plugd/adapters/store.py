@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Self, TypeVar
 
 from plugd.adapters import frozen_json, store_past
-from plugd.adapters.sound import objection
+from plugd.adapters.sound import MOST_NUMBER, objection
 from plugd.adapters.store_file import StoreFile
 from plugd.adapters.store_past import Day, Past, epoch_s, moment
 from plugd.domain import Forecast, Intensity, Memory, Outlook, PastRow, Record
@@ -56,8 +56,6 @@ LEDGER = ", ".join(LEDGER_COLUMNS)
 _TIMES = ("start", "arrival", "session_end", "metered_at")
 _NEVER_NULL = ("kwh", "g_per_kwh", "soc", "switch_ons", "limit_kw")
 _NUMBERS = (*_NEVER_NULL, "final_g_per_kwh", "minimum", "meter_kwh")
-MOST_NUMBER = 1e9
-"""Of anything in the ledger: meters end far below."""
 
 Found = TypeVar("Found")
 

@@ -83,8 +83,8 @@ def _port(answers: Answers) -> str:
     """The port told before, unless it was only the usual one and encryption has changed; else the usual one."""
     usual = {True: TLS_PORT, False: default("broker.port")}
     encrypted = bool(answers["broker.tls"])
-    told = written(answers.get("broker.port"))
-    return usual[encrypted] if told in ("", usual[not encrypted]) else told
+    before = told("broker.port")(answers)
+    return usual[encrypted] if before in ("", usual[not encrypted]) else before
 
 
 def _none_of(key: str) -> FromAnswers:

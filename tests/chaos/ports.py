@@ -4,10 +4,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 
-from pydantic import TypeAdapter
-
 from plugd.adapters.plug_memory import PlugMemory
 from plugd.adapters.plug_words import MAX_ENERGY_KWH, MAX_POWER_KW, Heard, bounded
+from plugd.adapters.store import remembered, worded
+from plugd.adapters.store_pack import pack, unpack
 from plugd.domain import Capability, Fault, Forecast, Intensity, Memory, Outlook, Reading, Record, Relay, Wanted
 from plugd.errors import ForecastError, ForecastUnavailable, PlugRefused, PlugTimeout, StoreError
 from plugd.ports import Inbox
@@ -15,8 +15,6 @@ from plugd.study.house import RamStore
 from plugd.units import HALF_HOUR, hours, slot_start
 from plugd_hil.car import CarAtHome
 
-MEMORY = TypeAdapter(Memory)
-FORECAST = TypeAdapter(Forecast)
 ORIGIN = timedelta(seconds=0)
 TIMER_S = 3600.0
 
@@ -254,7 +252,7 @@ class ChaosStore:
         """What was saved."""
         if self.lost:
             raise StoreError("plugd.db: the saved memory cannot be read; plugd begins without it")
-        return None if self.ram.memory is None else MEMORY.validate_json(MEMORY.dump_json(self.ram.memory))
+        return None if self.ram.memory is None else remembered(worded(self.ram.memory))
 
     def save(self, memory: Memory) -> None:
         """Keep."""
@@ -287,7 +285,7 @@ class ChaosStore:
         if self.lost:
             raise StoreError("plugd.db: the forecast cannot be read; plugd begins without it")
         kept = self.ram.forecasts
-        return FORECAST.validate_json(FORECAST.dump_json(kept[-1])) if kept else None
+        return unpack(kept[-1].issued_at, kept[-1].region, pack(kept[-1])) if kept else None
 
     def history(self, since: datetime) -> tuple[Intensity, ...]:
         """What was kept."""
