@@ -533,6 +533,8 @@ class Press:
 
     on: bool
     until: datetime | None
+    after_off: bool = False
+    """Whether it has taken back a person's off: the next off is meant again."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,9 +39,11 @@ def perceive(now: datetime, reading: Reading | None, memory: Memory, household: 
 def _seen(now: datetime, reading: Reading, memory: Memory, household: Household) -> Memory:
     """What the plug itself tells.
 
-    One that said "on" and gave nothing, and says "off" now, has only come to tell the truth: nobody pressed.
+    One that said "on" and gave nothing, and says "off" now, has only come to tell the truth: nobody pressed. Where it
+    said so for a moment only, the press that this "on" looked like is taken back, and no more.
     """
     power_kw = household.capability.power_max_kw
+    only_tried = _only_tried(memory)
     never_flowed = flow.is_idle(now, memory, household) and not flow.has_stopped(now, memory.flow)
     memory = flow.seen(now, reading, memory, household)
     memory = replace(memory, observed_kw=_observed_kw(reading, memory, household))
@@ -50,7 +52,10 @@ def _seen(now: datetime, reading: Reading, memory: Memory, household: Household)
     memory = replace(memory, soc=metered)
     memory = replace(memory, soc=_told_soc(reading, memory.soc))
     if reading.changed_by_other is not None and not (never_flowed and reading.changed_by_other is False):
-        memory = _pressed(now, reading.changed_by_other, memory, household)
+        taken_back = only_tried and not reading.changed_by_other
+        memory = (
+            replace(memory, press=None) if taken_back else _pressed(now, reading.changed_by_other, memory, household)
+        )
         memory = replace(contest.moved(now, memory), moved_over=reading.changed_over)
     if reading.on is not memory.relay_on:
         # Seen for the first time, it may have been so for long: no dwell time is due.
@@ -68,10 +73,18 @@ def _told_soc(reading: Reading, known: SocEstimate) -> SocEstimate:
     return soc.told(known, reading.soc, reading.soc_at, "car")
 
 
+def _only_tried(memory: Memory) -> bool:
+    """Whether a press has switched the relay on, nothing has flowed yet, and nobody wanted it off before."""
+    press, power = memory.press, memory.flow
+    gave_nothing = power.idle_since is not None and not power.flowed
+    return press is not None and press.on and not press.after_off and gave_nothing
+
+
 def _pressed(now: datetime, on: bool, memory: Memory, household: Household) -> Memory:
     """A person's word at the plug counts for this stay, and takes back the opposite one said elsewhere."""
-    opposite = Mode.OFF if on else Mode.NOW
+    opposite, before = Mode.OFF if on else Mode.NOW, memory.press
     mode = Mode.SMART if memory.overrides.mode is opposite else memory.overrides.mode
+    off_before = memory.overrides.mode is Mode.OFF or (before is not None and not before.on)
     # An off ends at the next plug-in: the told one, where anybody tells of them.
     told = memory.presence.connected is not None
     off_until = None if told else next_plug_in(now, memory, household)
@@ -79,7 +92,7 @@ def _pressed(now: datetime, on: bool, memory: Memory, household: Household) -> M
     return replace(
         memory,
         overrides=replace(memory.overrides, mode=mode),
-        press=Press(on, until),
+        press=Press(on, until, after_off=on and off_before),
         flow=replace(memory.flow, wake_until=None),
     )
 
