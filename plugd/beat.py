@@ -194,7 +194,8 @@ def _woken(now: datetime, action: Action, household: Household) -> Action:
 
 
 def _timed(now: datetime, action: Action, household: Household) -> Action:
-    """An off with the time by which its timer has to be over. A fixed timer that would end later: on instead."""
+    """An off with the time by which its timer has to be over. A fixed timer that would end later: on instead, unless
+    somebody else has just switched the plug: on would go on with the fight."""
     capability, memory, start = household.capability, action.memory, action.verdict.last_safe_start
     off = isinstance(action.wanted, Relay) and not action.on and action.cause in TIMED
     if not (off and capability.dead_man) or start is None:
@@ -205,6 +206,8 @@ def _timed(now: datetime, action: Action, household: Household) -> Action:
         on_by = start
     elif memory.relay_on is False and memory.on_by is not None and memory.on_by <= start + TIMER_SLACK:
         on_by = memory.on_by  # the timer that runs ends in time: it is not begun anew
+    elif action.cause is Cause.CONTESTED and contest.quiet_at(now, memory):
+        on_by = now + timedelta(seconds=capability.fixed_timer_s)
     else:
         return replace(
             action, wanted=Relay(True), cause=Cause.TIMER, memory=replace(memory, on_by=None), until=now + WATCH

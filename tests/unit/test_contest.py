@@ -2,12 +2,13 @@
 
 from dataclasses import replace
 from datetime import timedelta
+from typing import Any
 
 import pytest
 
 from plugd import contest
 from plugd.beat import Cause, decide
-from plugd.domain import Memory, Press, Reading, Relay
+from plugd.domain import Memory, Mode, Overrides, Press, Reading, Relay
 from plugd.perception import perceive
 from tests.unit.deciding import EXPECTED, HOME, NIGHT, READY_BY, Room, knows, minutes
 
@@ -59,6 +60,21 @@ def test_only_the_guard_acts_meanwhile_and_only_once_it_is_quiet() -> None:
     assert (acts.cause, acts.wanted) == (Cause.GUARD, Relay(True))
 
 
+def test_a_timer_that_would_end_too_late_does_not_go_on_with_the_fight() -> None:
+    home = replace(HOME, capability=replace(HOME.capability, fixed_timer_s=3600.0))
+    memory = toggled(knows(0.45), 0, 1, 2, 3)
+    assert not memory.relay_on
+    start = decide(NIGHT, memory, home).verdict.last_safe_start
+    assert start is not None
+    ago = start - minutes(20) - memory.moved[-1]  # so near that an hour's timer would end after it
+    memory = replace(memory, moved=tuple(at + ago for at in memory.moved), contested_until=start + minutes(10))
+    last = memory.moved[-1]
+    off = decide(last, memory, home)
+    assert (off.cause, off.wanted) == (Cause.CONTESTED, Relay(False, on_by=last + minutes(60)))
+    quiet = decide(last + contest.QUIET, off.memory, home)
+    assert (quiet.cause, quiet.wanted) == (Cause.TIMER, Relay(True))
+
+
 def test_a_clock_set_back_does_not_lengthen_it() -> None:
     memory = toggled(knows(0.6), 0, 1, 2)
     assert not contest.fought(NIGHT - timedelta(days=3650), memory)
@@ -96,3 +112,35 @@ def test_an_off_after_an_on_that_gave_nothing_is_the_truth_and_no_press() -> Non
     assert (lied.press, lied.moved, lied.relay_on) == (None, (), False)
     pressed = perceive(NIGHT, off, idle(flowed=True), HOME)
     assert pressed.press == Press(False, pressed.press.until if pressed.press else None)
+
+
+def lied_for_a_moment(before: Memory, kw: float = 0.0) -> Memory:
+    """Off, then on without having been told, and off again half a minute later."""
+    for second, on in ((0, True), (10, True), (40, False)):
+        now = NIGHT + timedelta(seconds=second)
+        moved = None if second == 10 else on
+        before = perceive(now, Reading(now, on, kw if on else 0.0, 5.0, now, changed_by_other=moved), before, HOME)
+    return before
+
+
+def test_an_off_at_once_after_a_press_through_which_nothing_flowed_takes_it_back() -> None:
+    memory = lied_for_a_moment(replace(knows(0.5), relay_on=False))
+    assert memory.press is None
+    assert len(memory.moved) == 2, "a third would be another controller's all the same"
+    assert decide(NIGHT + minutes(1), memory, HOME).cause is Cause.PLAN
+
+
+def test_an_off_at_once_after_a_press_through_which_the_car_charged_is_meant() -> None:
+    memory = lied_for_a_moment(replace(knows(0.5), relay_on=False), kw=2.0)
+    assert memory.press is not None
+    assert not memory.press.on
+
+
+@pytest.mark.parametrize(
+    "said", [{"overrides": Overrides(mode=Mode.OFF)}, {"press": Press(False, None)}], ids=["hub", "plug"]
+)
+def test_an_off_said_before_the_press_that_is_taken_back_counts_again(said: dict[str, Any]) -> None:
+    memory = lied_for_a_moment(replace(knows(0.5), relay_on=False, **said))
+    assert memory.press is not None
+    assert not memory.press.on
+    assert decide(NIGHT + minutes(1), memory, HOME).cause is Cause.PERSON_OFF
