@@ -121,6 +121,8 @@ class Night:
     """Since when nothing reaches the plug."""
     blocked: bool = False
     """Plug, mains or car stand in the way, whatever anybody does."""
+    stuck_alone: bool = False
+    """It stuck off when nobody reached it and no timer ran any more: whoever told it to come on did so in vain."""
     waits: bool = False
     """A trouble waits for the relay to be as it needs it."""
     person_off: bool = False
@@ -241,9 +243,10 @@ class Night:
         device = self.device
         if not device.powered or (device.jammed and not device.on) or not self.car.connected:
             return False
-        if self.lost_at is None:
+        if self.lost_at is None or device.on:
             return True
-        return device.on or self.clock.at - self.lost_at >= timedelta(seconds=TIMER_S)
+        timed = self.home.capability.dead_man and not self.stuck_alone
+        return timed and self.clock.at - self.lost_at >= timedelta(seconds=TIMER_S)
 
     def run(self) -> None:
         """Live it."""
@@ -276,6 +279,8 @@ class Night:
         if blocked and not self.blocked and self.reach is not None:
             self.reach.energy_kwh = min(self.reach.energy_kwh, self.car.battery.energy_kwh)
         self.blocked = blocked
+        in_vain = device.jammed and not device.on and device.timer is None
+        self.stuck_alone = self.lost_at is not None and (self.stuck_alone or in_vain)
 
     def _step(self) -> datetime | None:
         """One step of the daemon. Returns when it wants the next, in true time."""

@@ -238,7 +238,6 @@ class ChaosStore:
     fails: Callable[[int], bool] = lambda _: False
     """Whether the write of this number fails."""
     writes: int = 0
-    body: bytes | None = None
     lost: bool = False
     at: list[datetime] = field(default_factory=list)
     """Moments written, to see that none is from a wrong clock."""
