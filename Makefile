@@ -78,7 +78,7 @@ nights: $(READY) ## two thousand nights in which things fail, five hundred with 
 chaos: $(READY) ## one table of docs/reliability.md: fuzz, a month, store, broker, nights; ARGS goes to the nights, STORE to the store
 	STORE="$(STORE)" $(VENV)/bin/python -m tests.chaos_table $(ARGS)
 
-nights-mqtt: $(READY) ## a hundred nights with real programs over real MQTT, things failing in each (half an hour)
+nights-mqtt: $(READY) ## a hundred nights with real programs over real MQTT, things failing in most (a quarter of an hour)
 	$(VENV)/bin/python -m tests.nights_mqtt $(ARGS)
 
 study: $(READY) ## the paper's table and regions on measured intensity ($PLUGD_DATA), two seeds, and that they hold
