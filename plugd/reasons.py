@@ -143,7 +143,8 @@ def _shortfall(tonight: SessionPlan | None, household: Household) -> str:
     if tonight is None or short < SHORT:
         return ""
     end = _clock(tonight.session.end, household)
-    return f" {end}: {_percent(tonight.soc_end)}, {_percent(short)} short of {_percent(tonight.session.minimum)}."
+    counted, minimum = _percent(tonight.soc_end), _percent(tonight.session.minimum)
+    return f" Only {counted} can be counted on by {end}, {_percent(short)} short of {minimum}."
 
 
 def at_risk(now: datetime, memory: Memory, household: Household, faults: tuple[Fault, ...]) -> bool | None:
@@ -170,6 +171,7 @@ def _planned(now: datetime, action: Action, memory: Memory, household: Household
         return Status.READY, "Nothing to do: no night at home is expected."
     tonight, later = coming[0], coming[1:]
     short = _shortfall(tonight, household)
+    short += _doubt(memory) if short else ""
     nights = f"the next {len(coming)} nights" if later else "tonight"
     grams = _grams(tonight.intensity_g_per_kwh)
     if action.on:
@@ -188,7 +190,7 @@ def _planned(now: datetime, action: Action, memory: Memory, household: Household
     if cleaner is not None:
         word = (
             f"Holding for {_night(cleaner.session, household)}: {_grams(cleaner.intensity_g_per_kwh)} then, and "
-            f"{_percent(soc.cautious(memory.soc))} is enough for {_percent(tonight.session.minimum)} in the morning."
+            f"{_percent(memory.soc.mean)} is enough for {_percent(tonight.session.minimum)} in the morning."
         )
         return Status.HOLDING, word + short
     return Status.READY, f"Ready: at {_percent(memory.soc.mean)} nothing needs charging for {nights}.{short}"

@@ -154,7 +154,7 @@ def test_every_status_can_be_reached() -> None:
 
 # -- what is missing in the morning ---------------------------------------------------------------
 
-MISSING = " 06:57: 46 %, 4 % short of 50 %."
+MISSING = " Only 46 % can be counted on by 06:57, 4 % short of 50 %."
 
 
 @pytest.mark.parametrize(
@@ -237,6 +237,18 @@ def test_a_soc_that_nobody_ever_told_is_said_where_it_makes_the_car_charge() -> 
     assert say(never)[1].endswith("Nobody has said yet how full the battery is, so little is counted on.")
     assert "Nobody" not in say(meaning(soc=0.18))[1]
     assert "Nobody" not in say(replace(never, soc=soc.told(never.soc, 0.15, NIGHT, "hub")))[1]
+
+
+@pytest.mark.parametrize("now", [NIGHT, at(3, 10, day=3)], ids=["waiting", "charging"])
+def test_a_soc_that_nobody_ever_told_is_said_where_the_plan_falls_short_for_it(now: datetime) -> None:
+    never = replace(remembering(0.6, SHORT), soc=replace(soc.unknown(NIGHT), mean=0.6, sd=0.01))
+    assert f"{MISSING} Nobody has said yet how full the battery is" in say(never, now)[1]
+    assert "Nobody" not in say(replace(never, plan=plan(CHARGES)))[1]
+
+
+def test_what_is_enough_is_the_figure_that_people_are_shown() -> None:
+    doubtful = replace(HOLDING, soc=replace(HOLDING.soc, mean=0.62, sd=0.03))
+    assert " and 62 % is enough for 50 % in the morning." in say(doubtful)[1]
 
 
 def test_where_the_forecast_leaves_off_before_the_morning_it_says_from_when_on_it_is_the_usual_day() -> None:
