@@ -33,6 +33,7 @@ class Actuator:
             reading = self.plug.read()
         except PlugError as error:
             self.faults.stand("plug_silent", str(error))
+            self.faults.end("plug_refuses")  # whether it would do what it does not hear, nobody knows
             return None
         self.faults.end("plug_silent")
         if reading.came_back:
@@ -78,7 +79,8 @@ class Actuator:
             self.plug.set(action.wanted)
         except PlugError as error:
             self.retry.failed(now)
-            self.faults.stand("plug_refuses", str(error))
+            if reading is not None or isinstance(error, PlugRefused):
+                self.faults.stand("plug_refuses", str(error))
             self.offs += int(stays_on and isinstance(error, PlugRefused))  # else it may not have heard
             if self.offs >= MOST_OFFS:
                 self._gives_up(reading, action.wanted, memory)

@@ -31,7 +31,7 @@ from plugd.plausible import believed
 from plugd.ports import Clock, Errand, ForecastSource, Hub, Inbox, Plug, Store, Tended
 from plugd.register import Register
 from plugd.retry import Retry
-from plugd.units import next_slot, slot_start
+from plugd.units import in_local_time, next_slot, slot_start
 from plugd.wall import Wall, newest, shifted
 
 LOOK_S = 10.0
@@ -151,7 +151,8 @@ class Cycle:
     ) -> Observation:
         lost = self.losses if self.clock.monotonic() - self.began_s < LOSS_TOLD_S else ()
         found = (*lost, *self.faults, *self.wall.faults(), *self.plug.warnings, *self.hub.warnings)
-        faults = {fault.code: fault for fault in found}
+        zone = self.controller.household.timezone
+        faults = {fault.code: replace(fault, text=in_local_time(fault.text, zone)) for fault in found}
         return Observation(reading, self.forecast, history, orders, tuple(faults.values()))
 
     def _tick_due(self, now: datetime) -> bool:

@@ -1,12 +1,16 @@
 """The half-hour grid, the guard on time zones, and the only conversions of units."""
 
 import math
+import re
 from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 from typing import TypeGuard
+from zoneinfo import ZoneInfo
 
 HALF_HOUR = timedelta(minutes=30)
 SLOT_H = 0.5
+ISO = re.compile(r"\b[0-9]{4}-[0-9]{2}-[0-9]{2}T[0-9]{2}:[0-9]{2}:[0-9]{2}Z")
+"""A time as `iso` writes it."""
 
 
 def require_utc(moment: datetime) -> datetime:
@@ -104,6 +108,15 @@ def is_number(value: object) -> TypeGuard[float]:
 def iso(moment: datetime) -> str:
     """ISO 8601 in UTC to the second, ending in Z: how plugd writes times for programs."""
     return require_utc(moment).strftime("%Y-%m-%dT%H:%M:%SZ")
+
+
+def in_local_time(words: str, timezone: str) -> str:
+    """Words in which every time as `iso` writes it is one for people, in their own zone."""
+
+    def local(found: re.Match[str]) -> str:
+        return f"{datetime.fromisoformat(found[0]).astimezone(ZoneInfo(timezone)):%a %-d %b %Y, %H:%M}"
+
+    return ISO.sub(local, words)
 
 
 def grams(value: float) -> str:

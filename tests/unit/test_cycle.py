@@ -292,7 +292,7 @@ def test_a_silent_plug_is_still_told_to_charge() -> None:
     house = room(LITTLE, at(2, day=3))
     house.plug.silent = house.plug.refuses = PlugTimeout("silent since 01:50")
     house.run(at(2, 5, day=3))
-    assert house.faults() == {"plug_silent": "silent since 01:50", "plug_refuses": "silent since 01:50"}
+    assert house.faults() == {"plug_silent": "silent since 01:50"}, "who hears nothing refuses nothing"
     assert len(house.plug.tries) == 7
     house.plug.refuses = None
     house.run(at(2, 7, day=3))
@@ -301,6 +301,33 @@ def test_a_silent_plug_is_still_told_to_charge() -> None:
     house.plug.silent = None
     house.run(at(2, 8, day=3))
     assert house.faults() == {}
+
+
+def test_a_refusal_is_over_where_the_plug_falls_silent_and_stands_again_where_it_still_refuses() -> None:
+    house = room(LITTLE, at(2, day=3))
+    house.plug.refuses = PlugTimeout("no answer")
+    house.run(at(2, 2, day=3))
+    assert house.faults() == {"plug_refuses": "no answer"}
+    house.plug.silent = PlugTimeout("silent")
+    house.run(at(2, 4, day=3))
+    assert house.faults() == {"plug_silent": "silent"}
+    house.plug.silent = None
+    house.run(at(2, 6, day=3))
+    assert house.faults() == {"plug_refuses": "no answer"}
+
+
+def test_what_a_silent_plug_still_refuses_is_said() -> None:
+    house = room(LITTLE, at(2, day=3))
+    house.plug.silent, house.plug.refuses = PlugTimeout("silent"), PlugRefused("locked")
+    house.step(at(2, day=3))
+    assert house.faults() == {"plug_silent": "silent", "plug_refuses": "locked"}
+
+
+def test_people_read_their_own_time_in_a_fault() -> None:
+    house = room(LITTLE, at(2, day=3))
+    house.plug.silent = PlugTimeout("silent since 2023-07-02T23:50:07Z (broker connected)")
+    house.step(at(2, day=3))
+    assert house.faults() == {"plug_silent": "silent since Mon 3 Jul 2023, 00:50 (broker connected)"}
 
 
 def test_a_plug_that_cannot_be_tended_is_a_fault_and_no_more() -> None:
