@@ -24,10 +24,11 @@ from plugd.domain import Capability, Household
 from plugd.errors import PlugdError, UsageError
 from plugd.units import require_utc
 from plugd_hil.demo_outcome import Outcome, reckoned, summary, table
-from plugd_hil.demo_run import CAN, POWER_KW, SYNTHETIC, Options, folder_of, series_for, simulate, span
+from plugd_hil.demo_run import CAN, POWER_KW, SYNTHETIC, Options, folder_of, look_for_port, series_for, simulate, span
 from plugd_hil.plug import DIALECTS
 
 MOST_DAYS = 366
+MOST_PORT = 65535
 
 
 def run(options: Options, progress: Callable[[float], None] = lambda _: None) -> Outcome:
@@ -36,6 +37,7 @@ def run(options: Options, progress: Callable[[float], None] = lambda _: None) ->
     series = series_for(options)
     household = Household(capability=Capability(POWER_KW, dead_man=True))
     start, end = span(options, series, ZoneInfo(household.timezone))
+    look_for_port(options)
     with folder_of(options) as folder:
         places = simulate(options, folder, start, end, progress)
         found = reckoned(options, household, series, (start, end), places)
@@ -73,6 +75,8 @@ def _parsed(arguments: Sequence[str] | None) -> Options:
     asked = parser.parse_args(arguments)
     if not 1 <= asked.days <= MOST_DAYS:
         parser.error(f"--days {asked.days}: choose 1 to {MOST_DAYS}")
+    if asked.page is not None and not 1 <= asked.page <= MOST_PORT:
+        parser.error(f"--page {asked.page}: choose 1 to {MOST_PORT}")
     zone = ZoneInfo(Household().timezone)
     start = None
     if asked.start is not None:

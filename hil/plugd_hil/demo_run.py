@@ -1,5 +1,6 @@
 """One run of the demo: its options, the programs that take part, and the passing of time."""
 
+import socket
 import sys
 import tempfile
 import time
@@ -105,6 +106,16 @@ def _first_noon(series: IntensitySeries, zone: ZoneInfo) -> datetime:
     day = series.start.astimezone(zone).date()
     noon = require_utc(datetime.combine(day, clock_time(12), zone))
     return noon if noon >= series.start else noon + timedelta(days=1)
+
+
+def look_for_port(options: Options) -> None:
+    """Raises UsageError where the page cannot have its port: somebody else's page would be taken for ours."""
+    if options.page is None:
+        return
+    try:
+        socket.create_server((HOST, options.page)).close()
+    except OSError:
+        raise UsageError(f"--page {options.page}: cannot be had; is another page there? Name another port") from None
 
 
 @contextmanager

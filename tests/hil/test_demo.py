@@ -22,7 +22,7 @@ from plugd.study.world import Stay
 from plugd_hil import broker as brokers
 from plugd_hil import demo, demo_run
 from plugd_hil.account import Night, read_ledger
-from plugd_hil.broker import Amqtt, Mosquitto, any_broker
+from plugd_hil.broker import HOST, Amqtt, Mosquitto, any_broker
 from plugd_hil.conductor import Conductor, Line
 from plugd_hil.demo_outcome import Outcome
 from tests.conftest import find_data
@@ -294,6 +294,7 @@ def test_a_demo_without_any_broker_says_what_to_install(
         (["--plug", "toaster"], "invalid choice: 'toaster'"),
         (["--soc", "always"], "invalid choice: 'always'"),
         (["--fast"], "unrecognized arguments: --fast"),
+        (["--page", "70000"], "--page 70000: choose 1 to 65535"),
     ],
 )
 def test_a_wrong_argument_is_one_line_and_status_2(
@@ -308,6 +309,13 @@ def test_a_wrong_argument_is_one_line_and_status_2(
     assert err.startswith("plugd demo: ")
     assert said in err
     assert len(err.splitlines()) == 1
+
+
+def test_a_page_whose_port_is_taken_is_said_before_a_week_passes(capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.create_server((HOST, 0)) as other:
+        port = other.getsockname()[1]
+        assert demo.main(["--page", str(port)]) == 2
+    assert capsys.readouterr().err.startswith(f"plugd demo: --page {port}: cannot be had; is another page there?")
 
 
 # -- a part fails ---------------------------------------------------------------------------------
