@@ -21,7 +21,7 @@ BAND_SD = 1.2816
 BAR = 40
 SOLID, SHADE = "█", "░"
 SOURCES = {SlotSource.NESO: "neso", SlotSource.CORRECTED: "corrected", SlotSource.TAIL: "usual day"}
-LEGEND = f"{SOLID} up to where it is four times in five at least, {SHADE} to where it is at most; * charging is planned"
+LEGEND = f"{SOLID} to the low end, {SHADE} to the high end of where it lies four times in five; * charging is planned"
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,7 +28,7 @@ class Journal:
             return
         self._fault(decision.faults)
         for answer in decision.answers:
-            log.info("command %s: %s", answer.command, answer.message)
+            log.info("command %s%s: %s", answer.command, "" if answer.ok else " refused", answer.message)
         if is_news(decision.reason, self._said):
             log.info("%s", decision.reason)
             self._said = decision.reason

@@ -52,6 +52,18 @@ def drawn(config: Path, capsys: pytest.CaptureFixture[str]) -> list[str]:
     return capsys.readouterr().out.splitlines()
 
 
+def test_the_plan_is_told_in_local_time(config: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Pago Pago is 11 hours behind all the year."""
+    config.write_text(config.read_text() + '[home]\ntimezone = "Pacific/Pago_Pago"\n[car]\ndaily_use_kwh = 20\n')
+    assert main(["-c", str(config), "plan", "--json"]) == 0
+    slots = json.loads(capsys.readouterr().out)["plan"]
+    assert main(["-c", str(config), "plan"]) == 0
+    _, *said = capsys.readouterr().out.splitlines()
+    starts = [datetime.fromisoformat(slot["start"]) - timedelta(hours=11) for slot in slots]
+    assert starts
+    assert [line[:16] for line in said] == [f"{start:%a %d %b %H:%M}" for start in starts]
+
+
 def past_of(level: float) -> list[PastRow]:
     """Eight weeks up to now."""
     end = slot_start(utc_now())

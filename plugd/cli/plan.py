@@ -4,7 +4,9 @@ import argparse
 import json
 import sys
 import time
+from datetime import datetime
 from pathlib import Path
+from zoneinfo import ZoneInfo
 
 from plugd.cli.parsing import Commands, config_path
 
@@ -36,8 +38,10 @@ def _plan(options: argparse.Namespace) -> int:
         print(json.dumps({"reason": decision.reason, "plan": slots, **whys}))
         return 0
     print(decision.reason)
+    zone = ZoneInfo(config.home.timezone)
     for slot in slots:
-        print(f"{slot['start']}  {slot['power_kw']:.2f} kW  {slot['intensity_g_per_kwh']:.0f} g/kWh")
+        start = datetime.fromisoformat(slot["start"]).astimezone(zone)
+        print(f"{start:%a %d %b %H:%M}  {slot['power_kw']:5.2f} kW  {slot['intensity_g_per_kwh']:3.0f} g/kWh")
     for line in lines(*why) if why else ():
         print(line)
     return 0

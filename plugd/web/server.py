@@ -2,6 +2,7 @@
 
 import asyncio
 import logging
+import os
 import socket
 import sys
 import threading
@@ -53,6 +54,11 @@ class Bounded(H11Protocol):
             transport.close()
 
 
+def _reason(error: OSError) -> str:
+    """Without the address, which `socket` adds to what the system says."""
+    return os.strerror(error.errno) if error.errno is not None and error.errno > 0 else str(error)
+
+
 class Server:
     """Serves a page until closed. `start` returns at once."""
 
@@ -64,9 +70,7 @@ class Server:
         try:
             self._socket = socket.create_server((host, int(port)), family=family, backlog=MOST_CONNECTIONS)
         except OSError as error:
-            raise PlugdError(
-                f"{bind}: {error.strerror or error}; set web.bind to a free address of this machine"
-            ) from error
+            raise PlugdError(f"{bind}: {_reason(error)}; set web.bind to a free address of this machine") from error
         self.address = f"{host if family == socket.AF_INET else f'[{host}]'}:{self._socket.getsockname()[1]}"
         config = uvicorn.Config(
             page.gate,

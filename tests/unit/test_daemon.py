@@ -89,7 +89,9 @@ def test_the_log_says_why_and_what_fails_and_each_only_once(caplog: pytest.LogCa
         DECISION,
         DECISION,
         replace(DECISION, faults=(silent,)),
-        replace(DECISION, faults=(silent,), answers=(Answer("mode", True, "mode is now"),)),
+        replace(
+            DECISION, faults=(silent,), answers=(Answer("mode", True, "mode is now"), Answer("trip", False, "no date"))
+        ),
         replace(DECISION, reason="Charging."),
     ):
         journal.note(decision)
@@ -97,6 +99,7 @@ def test_the_log_says_why_and_what_fails_and_each_only_once(caplog: pytest.LogCa
         ("INFO", "Waiting until 03:00."),
         ("WARNING", f"plug_silent: plug ev-plug is silent. {KNOWN['plug_silent'].remedy}"),
         ("INFO", "command mode: mode is now"),
+        ("INFO", "command trip refused: no date"),
         ("INFO", "plug_silent: works again"),
         ("INFO", "Charging."),
     ]

@@ -593,7 +593,7 @@ def test_an_address_that_is_taken_costs_the_page_only(caplog: pytest.LogCaptureF
     config = parse(f'[plug]\ntopic = "p"\n[web]\nbind = "{served.host}"')
     with opening.opened_page(config, Path(), served.room.cycle, line) as inbox:
         assert inbox is line
-    assert "set web.bind to a free address" in caplog.text
+    assert f"{served.host}: Address already in use; set web.bind to a free address" in caplog.text
 
 
 def test_what_is_no_http_any_more_is_refused_without_a_traceback(
