@@ -28,7 +28,7 @@ STATUS = {
 SAID_BY = {
     "car": "told by the car, AGO",
     "hub": "as you said, AGO",
-    "meter": "told AGO, metered",
+    "meter": "told AGO, metered since",
     "full": "full when it last stopped",
 }
 """Who says how full it is, by the SOC's source."""
@@ -54,7 +54,9 @@ def _clock(moment: datetime, now: datetime, zone: ZoneInfo) -> str:
 def _ago(length_s: float) -> str:
     minutes = int(length_s // 60)
     return (
-        f"{minutes} min ago"
+        "just now"
+        if minutes < 1
+        else f"{minutes} min ago"
         if minutes < 120
         else f"{minutes // 60} h ago"
         if minutes < 2880
@@ -158,7 +160,7 @@ def forecast_words(snapshot: Snapshot) -> str:
         return "There is no forecast at the moment; the plan uses the usual day."
     until = outlook.forecast_until.astimezone(zone)
     age = _ago((decision.at - issued).total_seconds())
-    return f"Forecast of {age}, reaching to {until:%a %H:%M}; beyond it (dashed) the usual day."
+    return f"Forecast from {age}, reaching to {until:%a %H:%M}; beyond it (dashed) the usual day."
 
 
 def live(snapshot: Snapshot, state: dict[str, Any], scores: tuple[LeadScore, ...]) -> dict[str, Any]:

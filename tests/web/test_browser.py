@@ -1,7 +1,7 @@
 """The page in a real browser: it loads, keeps itself fresh, sets what is set, and fits a phone."""
 
 from collections.abc import Callable, Iterator
-from datetime import date, time
+from datetime import date, time, timedelta
 from pathlib import Path
 
 import pytest
@@ -248,8 +248,13 @@ def test_it_fits_a_phone(sight: Sight, phone: tuple[int, int]) -> None:
         "Emulation.setDeviceMetricsOverride",
         {"width": phone[0], "height": phone[1], "deviceScaleFactor": 2, "mobile": True},
     )
+    sight.served.room.run(sight.served.room.clock.at + timedelta(days=2))
     try:
         sight.browser.get(f"http://{sight.served.host}/")
+        for column in sight.browser.find_elements(By.CSS_SELECTOR, "#nights th"):
+            if column.is_displayed():
+                assert column.location["x"] + column.size["width"] <= phone[0], column.text
+        assert {"saved", "morning"} <= set(sight.one("#nights thead").text.split())
         sight.one("#more summary").click()
         width = sight.browser.execute_script("return document.documentElement.scrollWidth")
         assert width <= phone[0]
