@@ -28,7 +28,7 @@ STATUS = {
 SAID_BY = {
     "car": "told by the car, AGO",
     "hub": "as you said, AGO",
-    "meter": "told AGO, metered since",
+    "meter": "told AGO, metered",
     "full": "full when it last stopped",
 }
 """Who says how full it is, by the SOC's source."""

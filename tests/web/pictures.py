@@ -33,8 +33,8 @@ SET = (
     ("week", '{"sun": {"ready_by": "10:00"}}'),
 )
 SHOTS = (
-    ("page.png", 980, 960, "light", 1.0),
-    ("page-dark.png", 980, 960, "dark", 1.0),
+    ("page.png", 980, 985, "light", 1.0),
+    ("page-dark.png", 980, 985, "dark", 1.0),
     ("page-phone.png", 390, 844, "light", 1.0),
 )
 """(file, width, height, scheme, pixels a point)"""

@@ -134,7 +134,7 @@ def test_every_number_of_what_was_saved_follows_from_the_half_hours(served: Serv
     [
         ("car", "told by the car, 2 h ago"),
         ("hub", "as you said, 2 h ago"),
-        ("meter", "told 2 h ago, metered since"),
+        ("meter", "told 2 h ago, metered"),
         ("full", "full when it last stopped"),
         ("fleet", "told by fleet, 2 h ago"),
     ],
