@@ -1,6 +1,7 @@
 """What every plug over MQTT needs: to listen, to ask, to wait for an answer, and words for its silence."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from datetime import datetime, timedelta
 
 from plugd.adapters.mqtt import Message, MqttConnection, Retained
@@ -81,6 +82,8 @@ class PlugLine:
         self._silent = reading is None
         if reading is None:
             raise self.silence(status)
+        if reading.came_back and self._mqtt.twin.about:  # a person's off would hold until the next plug-in
+            return replace(reading, changed_by_other=None, changed_over="")
         return reading
 
     def _fresh(self, meter: bool) -> bool:

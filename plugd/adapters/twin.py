@@ -41,12 +41,19 @@ class Twin:
         """Whether to ask the broker at once: a twin leaves it where it is, an end of its own does not."""
         return self._soon > 0
 
+    @property
+    def about(self) -> bool:
+        """Whether it may have had our place a moment ago, and have done there what we did not see."""
+        return self.pushed_out > 0 or self._soon > 0
+
     def not_made(self) -> None:
         """There was no connection to be had: it was the broker, and nobody else."""
         self._soon = 0
 
     def lasting(self, lasted_s: float) -> None:
         """A connection is there, for so long now."""
+        if lasted_s >= SOON_S:
+            self._soon = 0
         if lasted_s >= AT_PEACE_S:
             self.pushed_out = 0
 

@@ -254,8 +254,14 @@ def test_a_twin_is_told_from_a_broker_that_goes_and_comes() -> None:
         twin.not_made()
     assert [twin.ended(0.5, told=None) for _ in range(MOST_SOON)] == [False] * (MOST_SOON - 1) + [True]
     assert [twin.ended(ENDS_SOON_S, told=None), twin.pushed_out] == [False, 1], "one that lasts is not soon"
+    twin.lasting(ENDS_SOON_S)
+    assert twin.about, "it may come again"
     twin.lasting(AT_PEACE_S)
-    assert twin.pushed_out == 0
+    assert (twin.pushed_out, twin.about) == (0, False)
+    assert not twin.ended(0.5, told=None)
+    assert twin.about
+    twin.lasting(ENDS_SOON_S)
+    assert not twin.about, "an accident"
 
 
 @pytest.mark.parametrize("end", ["e0028700", "30ffffffffff"], ids=["not allowed", "nonsense"])

@@ -341,6 +341,23 @@ def test_a_press_while_the_broker_was_away_is_a_press(bench: Bench) -> None:
     assert seen[-1].came_back
 
 
+def test_what_moved_while_a_twin_had_our_place_is_nobodys_press(bench: Bench) -> None:
+    """Else its off would count as a person's, without a timer, until the next plug-in."""
+    for on in (False, True):
+        bench.plug.set(Relay(on))
+        assert bench.plug.read().on is on
+    bench.mosquitto.stop()
+    assert bench.until(lambda: not bench.ours.connected)
+    bench.ours.twin.ended(0.5, told=True)
+    bench.stub.tell("press")
+    bench.mosquitto.start()
+    seen = bench.readings_until(lambda reading: not reading.on)
+    assert seen[-1].came_back
+    assert all(reading.changed_by_other is None for reading in seen)
+    bench.stub.tell("press")
+    assert bench.readings_until(lambda reading: reading.on)[-1].changed_by_other is True, "seen as it happened"
+
+
 def test_a_retained_command_of_somebody_else_is_told(bench: Bench) -> None:
     assert not bench.plug.warnings
     bench.other.publish("cmnd/ev-plug/POWER", b"ON", retain=True)
