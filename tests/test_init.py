@@ -549,7 +549,7 @@ class Seat:
             stdout=theirs,
             stderr=theirs,
             start_new_session=True,
-            env=environment(TERM="dumb"),
+            env=environment(TERM="dumb", COLUMNS="80"),
         )
         os.close(theirs)
         self._seen, self._read = "", 0
@@ -612,6 +612,16 @@ def plugged(mosquitto: Mosquitto) -> Iterator[Mosquitto]:
     with Program("plugd_hil.plug", "--broker", f"{mosquitto.host}:{mosquitto.port}", "--stdin") as plug:
         plug.said.until(lambda line: line.get("ready"))
         yield mosquitto
+
+
+def test_a_terminal_breaks_no_line_within_a_word(tmp_path: Path) -> None:
+    with Seat(tmp_path / "plugd.toml") as seat:
+        seat.until(": ")
+        seat.type("Londn")
+        said = seat.until("did you") + seat.until("]: ")
+    lines = said.splitlines()
+    assert lines[-2] == "  did you mean London?"
+    assert max(map(len, lines)) <= 80
 
 
 def test_a_person_at_a_terminal_is_led_through(plugged: Mosquitto, tmp_path: Path) -> None:

@@ -147,6 +147,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         scenarios: list[Scenario] = [load(path) for path in paths]
         if options.natural:
             scenarios = [one for one in scenarios if one.written.seconds is not None]
+            if not scenarios:
+                raise UsageError("--natural: each lasts a night; only those with `seconds` run on the real clock")
         if not scenarios:
             raise UsageError("there is no scenario in what was given")
         began, verdicts = time.monotonic(), []

@@ -3,10 +3,12 @@
 import argparse
 import io
 import os
+import shutil
 import sys
 from collections import Counter
 from getpass import getpass
 from pathlib import Path
+from textwrap import fill
 from typing import TYPE_CHECKING
 
 from plugd.cli.parsing import DEFAULT_CONFIG, Commands, config_path
@@ -39,8 +41,10 @@ class Terminal:
             import readline  # noqa: F401 # lets input() be edited
 
     def say(self, text: str) -> None:
-        """Print it."""
-        print(text)
+        """Print it, on a terminal without a break within a word."""
+        for line in text.splitlines() or [""]:
+            width = shutil.get_terminal_size().columns if self.present else len(line) + 1
+            print(fill(line, width, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False))
 
     def ask(self, prompt: str) -> str:
         """A line of theirs."""
@@ -79,7 +83,8 @@ def _init(options: argparse.Namespace) -> int:
         replace = path.exists()
         if replace and not confirmed(person, f"{path} is there already. Replace it?", default=False):
             raise PlugdError(f"{path}: left as it is; name another file with --out")
-        print(f"Some questions for {path}. Enter takes what stands in brackets; Ctrl-C ends it, and writes nothing.")
+        person.say(f"Some questions for {path}.")
+        person.say("Enter takes what stands in brackets; Ctrl-C ends it, and writes nothing.")
         draft = interview(person, path.parent, _state_folder(path.parent), _look)
         write(path, draft, replace)
         written = True

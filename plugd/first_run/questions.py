@@ -130,10 +130,10 @@ def _minimum(answers: Answers) -> str:
 PLACE = (
     Question(
         ("home.region_id", "home.postcode"),
-        "Region (number or name), or the first half of a postcode",
+        "Region, or first half of a postcode",
         place,
         lambda _: "",
-        before=lambda _: f"Where is the car? The forecast knows these regions:\n{listed()}",
+        before=lambda _: f"Where is the car? The forecast knows these regions, by number or name:\n{listed()}",
         blank="all of Great Britain",
     ),
 )

@@ -9,7 +9,7 @@ from zoneinfo import ZoneInfo
 import pytest
 
 from plugd.errors import UsageError
-from plugd_hil import scenario
+from plugd_hil import bench, scenario
 from plugd_hil.account import Line
 from plugd_hil.outlet import Said
 from plugd_hil.plug_faults import PlugFaults
@@ -167,6 +167,12 @@ def test_every_promise_can_be_kept_and_broken(kept: dict[str, object], broken: d
 def test_a_promise_that_nobody_looks_after_is_refused(row: dict[str, object]) -> None:
     with pytest.raises(UsageError):
         parsed(row, START, at(7, 30), ZONE)
+
+
+def test_a_night_at_natural_speed_is_refused_with_the_reason(capsys: pytest.CaptureFixture[str]) -> None:
+    (night,) = (path for path in SCENARIOS if path.stem == "plug_silent")
+    assert bench.main(["--natural", str(night)]) == 2
+    assert "only those with `seconds`" in capsys.readouterr().err
 
 
 def test_there_are_scenarios_enough_each_with_a_promise_and_a_line() -> None:
