@@ -6,6 +6,7 @@ PYTHON ?= python3
 VENV ?= .venv
 ARGS ?=
 STORE ?=
+PLUGD_DATA ?= $(abspath ../shared/data)
 CAN_WEEK ?=
 PLUGS ?=
 # Real hubs for `make hub-test`. Home Assistant wants Python 3.13 or newer; without Node-RED its part is left out.
@@ -48,7 +49,7 @@ hub-test: $(READY) $(HASS) ## against a real Home Assistant, and Node-RED where 
 pictures: $(READY) ## the pictures of the page in docs/, anew, from ten simulated days
 	$(VENV)/bin/python -m tests.web.pictures $(ARGS)
 
-weeks: $(READY) ## the README's four weeks on measured intensity ($PLUGD_DATA), and that they hold
+weeks: $(READY) measured ## the README's four weeks on measured intensity ($PLUGD_DATA), and that they hold
 	$(VENV)/bin/python tests/four_weeks.py
 
 plugs: $(READY) ## every plug: the whole contract suite, and a simulated week of each
@@ -60,8 +61,8 @@ deadman: $(READY) ## plugd killed at each quarter hour of many nights: the plug 
 fuzz: $(READY) ## a million payloads at everything that a plug may say
 	$(VENV)/bin/python -m tests.fuzz_plugs --payloads 1000000 $(ARGS)
 
-broken: $(READY) ## weeks with a broken API on measured intensity ($PLUGD_DATA): no morning missed, little more carbon
-	$(VENV)/bin/python -m tests.broken_api $(ARGS)
+broken: $(READY) measured ## weeks with a broken API on measured intensity ($PLUGD_DATA): no morning missed, little more carbon
+	PLUGD_DATA="$(PLUGD_DATA)" $(VENV)/bin/python -m tests.broken_api $(ARGS)
 
 can-week: $(READY) ## a week of the demo with the charger on CAN: no morning missed
 	$(VENV)/bin/python tests/can_week.py $(CAN_WEEK)
@@ -81,7 +82,7 @@ chaos: $(READY) ## one table of docs/reliability.md: fuzz, a month, store, broke
 nights-mqtt: $(READY) ## a hundred nights with real programs over real MQTT, things failing in most (a quarter of an hour)
 	$(VENV)/bin/python -m tests.nights_mqtt $(ARGS)
 
-study: $(READY) ## the paper's table and regions on measured intensity ($PLUGD_DATA), two seeds, and that they hold
+study: $(READY) measured ## the paper's table and regions on measured intensity ($PLUGD_DATA), two seeds, and that they hold
 	$(VENV)/bin/python tests/study_figures.py
 
 check: $(READY) ## style, types, layers, security, the systemd unit
@@ -135,6 +136,11 @@ clean: ## remove the environment and every cache
 	rm -rf $(VENV) $(VENV)-bench $(VENV)-lock .venv-hass .venv-audit sbom.json build dist *.egg-info hil/*.egg-info
 	rm -rf .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+.PHONY: measured
+measured:
+	@test -f "$(PLUGD_DATA)/neso_national_2023.csv" \
+	  || { echo "no measured intensity: set PLUGD_DATA to the folder with neso_national_2023.csv" >&2; exit 1; }
 
 .PHONY: python
 python:
