@@ -194,19 +194,22 @@ def _woken(now: datetime, action: Action, household: Household) -> Action:
 
 
 def _timed(now: datetime, action: Action, household: Household) -> Action:
-    """An off with the time by which its timer has to be over. A fixed timer that would end later: on instead, unless
-    somebody else has just switched the plug: on would go on with the fight."""
+    """An off with the time by which its timer has to be over. A fixed timer that would end later: on instead.
+
+    Where somebody else has just switched the plug neither goes on with the fight: it has to be quiet first.
+    """
     capability, memory, start = household.capability, action.memory, action.verdict.last_safe_start
     off = isinstance(action.wanted, Relay) and not action.on and action.cause in TIMED
     if not (off and capability.dead_man) or start is None:
         return action if memory.on_by is None else replace(action, memory=replace(memory, on_by=None))
+    quiet_at = contest.quiet_at(now, memory) if action.cause is Cause.CONTESTED else None
     if capability.fixed_timer_s is None:
-        return replace(action, wanted=Relay(False, on_by=start))
+        return replace(action, wanted=Relay(False, on_by=max(start, quiet_at or start)))
     if now + timedelta(seconds=capability.fixed_timer_s) <= start:
         on_by = start
     elif memory.relay_on is False and memory.on_by is not None and memory.on_by <= start + TIMER_SLACK:
         on_by = memory.on_by  # the timer that runs ends in time: it is not begun anew
-    elif action.cause is Cause.CONTESTED and contest.quiet_at(now, memory):
+    elif quiet_at is not None:
         on_by = now + timedelta(seconds=capability.fixed_timer_s)
     else:
         return replace(

@@ -75,6 +75,17 @@ def test_a_timer_that_would_end_too_late_does_not_go_on_with_the_fight() -> None
     assert (quiet.cause, quiet.wanted) == (Cause.TIMER, Relay(True))
 
 
+def test_nor_does_a_timer_of_any_length_end_before_it_is_quiet() -> None:
+    memory = toggled(knows(0.1), 0, 1, 2, 3)
+    last = NIGHT + minutes(3)
+    off = decide(last, memory, HOME)
+    assert off.verdict.last_safe_start is not None
+    assert off.verdict.last_safe_start < last
+    assert off.wanted == Relay(False)
+    assert isinstance(off.wanted, Relay)
+    assert off.wanted.on_by == last + contest.QUIET
+
+
 def test_a_clock_set_back_does_not_lengthen_it() -> None:
     memory = toggled(knows(0.6), 0, 1, 2)
     assert not contest.fought(NIGHT - timedelta(days=3650), memory)
