@@ -39,12 +39,13 @@ def perceive(now: datetime, reading: Reading | None, memory: Memory, household: 
 def _seen(now: datetime, reading: Reading, memory: Memory, household: Household) -> Memory:
     """What the plug itself tells.
 
-    One that said "on" and gave nothing, and says "off" now, has only come to tell the truth: nobody pressed. Where it
-    said so for a moment only, the press that this "on" looked like is taken back, and no more.
+    One that said "on" and gave nothing, and says "off" now, has only come to tell the truth: nobody pressed. Where that
+    "on" looked like a press, the press is taken back, and no more.
     """
     power_kw = household.capability.power_max_kw
     only_tried = _only_tried(memory)
-    never_flowed = flow.is_idle(now, memory, household) and not flow.has_stopped(now, memory.flow)
+    idle = flow.is_idle(now, memory, household) and not flow.has_stopped(now, memory.flow)
+    never_flowed = idle and memory.press is None
     memory = flow.seen(now, reading, memory, household)
     memory = replace(memory, observed_kw=_observed_kw(reading, memory, household))
     held_back = isinstance(memory.orders, Setpoint) and memory.orders.power_kw < power_kw

@@ -125,17 +125,21 @@ def test_an_off_after_an_on_that_gave_nothing_is_the_truth_and_no_press() -> Non
     assert pressed.press == Press(False, pressed.press.until if pressed.press else None)
 
 
-def lied_for_a_moment(before: Memory, kw: float = 0.0) -> Memory:
-    """Off, then on without having been told, and off again half a minute later."""
-    for second, on in ((0, True), (10, True), (40, False)):
+def lied_for_a_moment(before: Memory, kw: float = 0.0, seconds: int = 40) -> Memory:
+    """Off, then on without having been told, and off again soon."""
+    for second, on in ((0, True), (10, True), (seconds - 1, True), (seconds, False)):
         now = NIGHT + timedelta(seconds=second)
-        moved = None if second == 10 else on
+        moved = on if second in (0, seconds) else None
         before = perceive(now, Reading(now, on, kw if on else 0.0, 5.0, now, changed_by_other=moved), before, HOME)
     return before
 
 
-def test_an_off_at_once_after_a_press_through_which_nothing_flowed_takes_it_back() -> None:
-    memory = lied_for_a_moment(replace(knows(0.5), relay_on=False))
+BRIEFLY_OR_LONG = pytest.mark.parametrize("seconds", [40, 300])
+
+
+@BRIEFLY_OR_LONG
+def test_an_off_after_a_press_through_which_nothing_flowed_takes_it_back(seconds: int) -> None:
+    memory = lied_for_a_moment(replace(knows(0.5), relay_on=False), seconds=seconds)
     assert memory.press is None
     assert len(memory.moved) == 2, "a third would be another controller's all the same"
     assert decide(NIGHT + minutes(1), memory, HOME).cause is Cause.PLAN
@@ -150,8 +154,9 @@ def test_an_off_at_once_after_a_press_through_which_the_car_charged_is_meant() -
 @pytest.mark.parametrize(
     "said", [{"overrides": Overrides(mode=Mode.OFF)}, {"press": Press(False, None)}], ids=["hub", "plug"]
 )
-def test_an_off_said_before_the_press_that_is_taken_back_counts_again(said: dict[str, Any]) -> None:
-    memory = lied_for_a_moment(replace(knows(0.5), relay_on=False, **said))
+@BRIEFLY_OR_LONG
+def test_an_off_said_before_the_press_that_is_taken_back_counts_again(said: dict[str, Any], seconds: int) -> None:
+    memory = lied_for_a_moment(replace(knows(0.5), relay_on=False, **said), seconds=seconds)
     assert memory.press is not None
     assert not memory.press.on
     assert decide(NIGHT + minutes(1), memory, HOME).cause is Cause.PERSON_OFF
