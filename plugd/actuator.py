@@ -38,7 +38,8 @@ class Actuator:
         self.faults.end("plug_silent")
         if reading.came_back:
             self.told = None  # whatever it was told, it may have forgotten
-        return reading
+        late = self.retry.failures > 0 and self.told is not None and reading.changed_by_other is is_on(self.told)
+        return replace(reading, changed_by_other=None) if late else reading  # it obeys at last: nobody pressed
 
     def tend(self, now: datetime) -> None:
         """Repeat what has to be repeated."""

@@ -11,7 +11,7 @@ from plugd.beat import is_on
 from plugd.domain import Capability, Fault, Leak, Mode, Observation, Reading, Relay, SetMode, Status, Wanted
 from plugd.errors import PlugFault, PlugRefused, PlugTimeout
 from plugd.perception import perceive
-from tests.unit.deciding import HOME, NIGHT, Box, Room, at, knows, minutes, plan, planned, session
+from tests.unit.deciding import EVENING, HOME, NIGHT, READY_BY, Box, Room, at, knows, minutes, plan, planned, session
 
 OFF = Relay(False)
 
@@ -100,6 +100,21 @@ def test_it_is_over_when_nothing_flows_any_more(says_off: bool) -> None:
     house.plug.stuck = house.plug.on = False
     every_ten_seconds(house, minutes(1))
     assert house.faults() == {}
+
+
+@pytest.mark.parametrize("error", [None, PlugTimeout("silent")], ids=["left alone", "told on and on"])
+def test_an_off_that_it_obeys_at_last_is_nobodys_press(error: PlugTimeout | None) -> None:
+    house = Room(EVENING, knows(0.4))
+    house.plug = house.cycle.plug = house.cycle.actuator.plug = plug = Welded(house.clock, stuck=True)
+    plug.refuses = error
+    every_ten_seconds(house, minutes(5))
+    assert {"relay_stuck", "plug_refuses"} & house.faults().keys()
+    plug.stuck = plug.on = plug.moved = False
+    house.step()
+    assert house.cycle.memory.press is None
+    plug.refuses = None
+    house.run(READY_BY)
+    assert house.cycle.memory.soc.mean >= 0.5
 
 
 def test_a_persons_word_and_a_plug_that_was_away_are_worth_one_more_try() -> None:
