@@ -10,6 +10,8 @@ from plugd.domain import Household, Memory, Mode, Press, Reading, Setpoint, SocE
 SMOOTHING = 0.2
 PLAUSIBLE_SHARE = (0.3, 1.2)
 """Of the configured power: outside it a reading says nothing about what the car takes."""
+LEAST_CAR_KW = 1.0
+"""No car's charger takes less (6 A): so much says something, however much power was configured."""
 ALL_SHARE = 0.95
 """Of a setpoint: a car that takes this much of it is not at a limit of its own."""
 TAPER_SOC = 0.9
@@ -110,7 +112,7 @@ def _observed_kw(reading: Reading, memory: Memory, household: Household) -> floa
     low, high = (share * configured_kw for share in PLAUSIBLE_SHARE)
     power_kw, known_kw = reading.power_kw, memory.observed_kw
     new = reading.metered_at is not None and reading.metered_at != memory.soc.metered_at
-    if not (new and reading.on and power_kw is not None and low <= power_kw <= high):
+    if not (new and reading.on and power_kw is not None and min(low, LEAST_CAR_KW) <= power_kw <= high):
         return known_kw
     if memory.soc.mean > min(TAPER_SOC, household.car.taper_from):
         return known_kw

@@ -63,6 +63,13 @@ def test_a_power_that_says_nothing_of_the_car_is_left_out(says: Reading, soc: fl
     assert seen(memory, says).observed_kw == 2.1
 
 
+def test_a_plug_configured_far_too_strong_is_seen_through() -> None:
+    """No charger takes less than 6 A: 2 kW is what the car takes, however much was configured."""
+    strong = replace(HOME, capability=replace(HOME.capability, power_max_kw=10.0))
+    assert perceive(NIGHT, reading(power_kw=2.0), knows(0.5), strong).observed_kw == 2.0
+    assert perceive(NIGHT, reading(power_kw=0.9), knows(0.5), strong).observed_kw is None
+
+
 def given(setpoint_kw: float, power_kw: float, known_kw: float | None) -> float | None:
     """What is believed of a car that takes `power_kw` where the charger was told `setpoint_kw`."""
     memory = replace(knows(0.5), observed_kw=known_kw, orders=Setpoint(setpoint_kw, NIGHT + minutes(30)))
