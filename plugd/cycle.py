@@ -87,7 +87,7 @@ class Cycle:
         now = self._now()
         if self.controller.safe and self.clock.monotonic() - self.began_s >= safe_mode.LASTS_S:
             self.controller.safe, self.planned_at, self.memory = False, None, replace(self.memory, orders=None)
-        was_on = self.memory.relay_on
+        was_on, cut = self.memory.relay_on, self.memory.flow.cut
         reading = self.actuator.read()
         orders = tuple(order for order in self.hub.commands() if commands.is_news(order, self.memory, now))
         pressed = reading is not None and reading.changed_by_other is not None
@@ -106,7 +106,7 @@ class Cycle:
         self.memory = action.memory
         self.memory, moved = self.actuator.apply(now, action, reading, self.memory, was_on)
         if moved or changed:
-            self._save()
+            self._save(said=self.memory.flow.cut is not cut)
         self.actuator.tend(self.clock.now())
         self._keep_book(now, reading, settle=due)
         self._publish(now, reading)
@@ -203,8 +203,8 @@ class Cycle:
         self.decision = self.controller.tick(now, seen, self.memory, self._learn(now, seen))
         self.memory = self.decision.memory
         self.planned_at = now
+        self._save(said=bool(orders) or (reading is not None and reading.changed_by_other is not None))
         self.hub.answer(self.decision.answers)
-        self._save()
         self._log(now, reading)
         outlook = self.decision.outlook
         if outlook is not None:
@@ -267,12 +267,14 @@ class Cycle:
         for errand in self.errands:
             self._stored(type(errand).__name__, partial(errand.step, now, wait=fetched), None)
 
-    def _save(self) -> None:
-        self._stored("save", lambda: self.store.save(self.memory), None)
+    def _save(self, said: bool = False) -> None:
+        """Keep the memory; in safe mode only for what a person `said`, or a cut, which outlive every end."""
+        if said or not self.controller.safe:
+            self._stored("save", lambda: self.store.save(self.memory), None)
 
     def _stored(self, what: str, act: Callable[[], Kept], otherwise: Kept) -> Kept:
         """What the store answers. Where it fails a fault stands until the same succeeds; decisions go on."""
-        if self.controller.safe or (not self.wall.believed and what not in TIMELESS):
+        if (self.controller.safe and what != "save") or (not self.wall.believed and what not in TIMELESS):
             return otherwise
         try:
             answer = act()

@@ -13,7 +13,7 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
 
-from plugd import __version__, perception
+from plugd import __version__, perception, safe_mode
 from plugd.adapters.allocator import Allocator
 from plugd.adapters.house_mark import house_mark
 from plugd.adapters.hub import MqttHub, Topics
@@ -165,12 +165,10 @@ def hub_for(config: "Config", connection: MqttConnection, plug: Plug) -> MqttHub
 def cycle_for(
     config: "Config", clock: Clock, connection: MqttConnection, store: SqliteStore, *, safe: bool = False
 ) -> Cycle:
-    """The cycle with its ports, and the memory of the last run. `safe`: of that only what people have set."""
+    """The cycle with its ports, and the memory of the last run, or in safe mode what may be taken over of it."""
     plug = plug_for(config, connection, clock)
     kept, losses = _remembered(store)
     remembered = kept or perception.fresh(clock.now())
-    if safe:  # whatever is in the memory may be what ends it
-        remembered = replace(perception.fresh(clock.now()), overrides=remembered.overrides)
     home = household(config, plug.capability)
     seed = house_mark(state_folder(config))
     source = source_for(config, patience(clock=clock))
@@ -183,7 +181,7 @@ def cycle_for(
         store=store,
         controller=Controller(home, solver_for(config), seed, safe=safe),
         learned=Learned(),
-        memory=remembered,
+        memory=safe_mode.begun(clock.now(), remembered) if safe else remembered,
         spread=spread,
         forecast=kept_forecast(store, config),
         book=Book(store, home),

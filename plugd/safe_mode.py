@@ -3,12 +3,19 @@
 from datetime import datetime, timedelta
 from zoneinfo import ZoneInfo
 
-from plugd import sessions
-from plugd.domain import Fault, Household, Memory, Switch, Switching
+from plugd import sessions, soc
+from plugd.domain import Fault, Flow, Household, Memory, Switch, Switching
 
 LASTS_S = 3600.0
 """After so long without an end it plans again."""
 LOOKED_AHEAD = timedelta(days=2)
+
+
+def begun(now: datetime, kept: Memory) -> Memory:
+    """What is taken over of the last run's memory: what people said, and an electrical cut. The rest may be what ends
+    it."""
+    cut = Flow(cut=kept.flow.cut)
+    return Memory(soc.unknown(now), overrides=kept.overrides, presence=kept.presence, press=kept.press, flow=cut)
 
 
 def orders(now: datetime, memory: Memory, household: Household) -> Switching:

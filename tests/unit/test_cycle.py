@@ -1,5 +1,6 @@
 """The cycle: what it does when, and that no port's failure stops it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from itertools import pairwise
@@ -9,6 +10,7 @@ import pytest
 from plugd.actuator import RETRY_S
 from plugd.cycle import FETCH_RETRY_S
 from plugd.domain import (
+    Answer,
     Command,
     Intensity,
     Memory,
@@ -40,6 +42,7 @@ from plugd.past import LATE
 from plugd.perception import fresh
 from plugd.planner.problem import Problem, Solution
 from plugd.retry import Retry
+from plugd.study.house import SimHub
 from plugd.units import next_slot, slot_start
 from tests.unit.deciding import CHARGER, EVENING, EXPECTED, NIGHT, READY_BY, Room, at, forecast, knows, minutes
 
@@ -554,6 +557,22 @@ def test_two_store_failures_are_one_fault_until_both_are_mended() -> None:
     house.disk.broken = {"append"}
     house.step(EVENING + minutes(30))
     assert house.faults() == {"store": "append: the card is full"}
+
+
+def test_a_command_is_saved_before_it_is_answered() -> None:
+    """Who was told that it is off must not find it on after a restart."""
+    house = waiting()
+    kept: list[Memory | None] = []
+
+    class Answering(SimHub):
+        def answer(self, answers: Sequence[Answer]) -> None:
+            kept.extend(house.disk.load() for _ in answers)
+
+    house.cycle.hub = Answering(said=[SetMode(Mode.OFF)])
+    house.step()
+    (memory,) = kept
+    assert memory is not None
+    assert memory.overrides.mode is Mode.OFF
 
 
 def test_what_a_person_said_is_saved_at_once_and_so_is_a_moved_relay() -> None:

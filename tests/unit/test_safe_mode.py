@@ -8,7 +8,8 @@ import pytest
 
 from plugd import safe_mode
 from plugd.adapters.starts import FILE, MOST, Starts
-from plugd.domain import Relay, Status
+from plugd.beat import Cause, decide
+from plugd.domain import Cut, Flow, Mode, Overrides, Presence, Press, Relay, SetMode, Status
 from plugd.perception import fresh
 from tests.unit.deciding import EVENING, HOME, NIGHT, READY_BY, Room, at, knows, minutes
 
@@ -31,6 +32,47 @@ def test_it_charges_in_the_default_window_and_neither_plans_nor_fetches_nor_keep
     assert room.hub.decision
     assert room.hub.decision.status is Status.FAULT
     assert room.hub.decision.reason.startswith("Plugd has ended again and again")
+
+
+def test_what_people_said_and_a_cut_are_taken_over_and_nothing_else() -> None:
+    cut = Cut(EVENING, 14.0, 10.5)
+    before = replace(
+        knows(0.7),
+        overrides=Overrides(mode=Mode.OFF, minimum=0.6),
+        press=Press(False, None),
+        presence=Presence(True, EVENING),
+        flow=Flow(cut=cut, stopped_at=EVENING),
+        observed_kw=1.2,
+    )
+    after = safe_mode.begun(NIGHT, before)
+    assert after == replace(
+        fresh(NIGHT), overrides=before.overrides, press=before.press, presence=before.presence, flow=Flow(cut=cut)
+    )
+    assert decide(NIGHT, after, HOME).cause is Cause.CUT
+
+
+def test_what_people_say_meanwhile_outlives_the_next_end() -> None:
+    room = house(start=NIGHT)
+    room.step()
+    room.hub.said.append(SetMode(Mode.OFF))
+    room.step(NIGHT + minutes(1))
+    kept = room.disk.load()
+    assert kept is not None
+    assert kept.overrides.mode is Mode.OFF
+    room.plug.press()
+    room.step(NIGHT + minutes(2))
+    assert room.disk.saves == 2
+
+
+def test_a_cut_meanwhile_outlives_the_next_end() -> None:
+    room = house(start=NIGHT)
+    room.household = room.cycle.controller.household = replace(HOME, max_current_a=10.5)
+    room.plug.current_a = 14.0
+    for _ in range(12):
+        room.step(room.clock.at + timedelta(seconds=10))
+    kept = room.disk.load()
+    assert kept is not None
+    assert kept.flow.cut is not None
 
 
 def test_after_a_quiet_hour_it_plans_again() -> None:
