@@ -38,8 +38,13 @@ class Actuator:
         self.faults.end("plug_silent")
         if reading.came_back:
             self.told = None  # whatever it was told, it may have forgotten
-        late = self.retry.failures > 0 and self.told is not None and reading.changed_by_other is is_on(self.told)
-        return replace(reading, changed_by_other=None) if late else reading  # it obeys at last: nobody pressed
+        obeys_late = self._unheeded is not None and reading.changed_by_other is self._unheeded
+        return replace(reading, changed_by_other=None) if obeys_late else reading  # nobody pressed
+
+    @property
+    def _unheeded(self) -> bool | None:
+        """On or off, as it was last told and has not been seen to do."""
+        return is_on(self.told) if self.told is not None and self.retry.failures > 0 else None
 
     def tend(self, now: datetime) -> None:
         """Repeat what has to be repeated."""
@@ -56,8 +61,10 @@ class Actuator:
         same = self.told is not None and is_same(self.told, wanted)
         stays_on = self._stays_on(reading, wanted, memory)
         as_wanted = reading is not None and reading.on is is_on(wanted) and not stays_on
-        # An "on" that is already on needs no word; an "off" has to be taken once, to arm or disarm its timer.
-        if as_wanted and (wanted == Relay(True) or (same and self.retry.failures == 0)):
+        # An "on" that is already on needs no word, unless an "off" may have had its way unseen (one whose timer ends in
+        # time needs none either); an "off" has to be taken once, to arm or disarm its timer.
+        needless = wanted == Relay(True) and (self._unheeded is not False or action.cause is Cause.TIMER)
+        if as_wanted and (needless or (same and self.retry.failures == 0)):
             obeyed = same and self.retry.failures > 0 and not was_on  # without an answer, as is seen only now
             self.told = self.told if same else wanted  # a setpoint told earlier ends when it was told to
             self._taken()

@@ -39,6 +39,21 @@ class Welded(Box):
             raise PlugRefused("plug ev-plug answers but stays ON; is it locked?")
 
 
+@dataclass(slots=True)
+class Frozen(Box):
+    """A plug that does as it is told, and says that it is on."""
+
+    def read(self) -> Reading:
+        """Never anything else."""
+        return replace(Box.read(self), on=True)
+
+    def set(self, wanted: Wanted) -> None:
+        """It answers with what it says."""
+        Box.set(self, wanted)
+        if not self.on:
+            raise PlugRefused("plug ev-plug answers but stays ON; is it locked?")
+
+
 def welded(says_off: bool, answers: bool = True, soc: float = 0.3) -> Room:
     """It welds while the car charges, and a person switches off."""
     house = Room(at(4, 40, day=3), knows(soc, at(4, 40, day=3)), HOME)
@@ -114,6 +129,16 @@ def test_an_off_that_it_obeys_at_last_is_nobodys_press(error: PlugTimeout | None
     assert house.cycle.memory.press is None
     plug.refuses = None
     house.run(READY_BY)
+    assert house.cycle.memory.soc.mean >= 0.5
+
+
+def test_a_plug_that_says_on_and_went_off_is_told_on_when_it_is_time() -> None:
+    """What it says stands still: only the meter shows that it obeyed."""
+    house = Room(NIGHT, knows(0.4))
+    house.step(at(1, 0, day=3))
+    house.cycle.plug = house.cycle.actuator.plug = plug = Frozen(house.clock)
+    every_ten_seconds(house, timedelta(hours=5, minutes=50))
+    assert plug.told.count(OFF) >= 3
     assert house.cycle.memory.soc.mean >= 0.5
 
 
