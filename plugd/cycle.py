@@ -132,7 +132,8 @@ class Cycle:
         now = self.wall.look(shown, self.clock.monotonic())
         self.ahead = shown - now
         if self.wall.jumped:
-            self.memory = shifted(self.memory, self.wall.jumped)
+            ran_s = self.clock.monotonic() - self.began_s
+            self.memory = shifted(self.memory, self.wall.jumped, began=now - timedelta(seconds=ran_s))
             self.planned_at = None
         return now
 

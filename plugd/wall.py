@@ -20,6 +20,8 @@ HOLD_S = 600.0
 """Without a clock the relay stays as it is for so long, and then charges."""
 PATIENCE_S = 24 * 3600.0
 """A clock that nobody has corrected by then is believed: what was stored is from one that ran ahead."""
+LONGEST_OFF = timedelta(days=7)
+"""A clock that is put forward by more than that has not stood still while the machine was off: it is wrong now."""
 NONE = timedelta(0)
 
 
@@ -90,18 +92,23 @@ def newest(memory: Memory) -> datetime:
     return max(m for m in (BUILT, made_at, memory.soc.metered_at, memory.soc.told_at) if m is not None)
 
 
-def shifted(memory: Memory, by: timedelta) -> Memory:
-    """Memory after a step of the clock: what was so long ago is still so long ago. The plan is to be made anew."""
-    moved: Memory = _moved(replace(memory, plan=None, orders=None), by)
+def shifted(memory: Memory, by: timedelta, began: datetime) -> Memory:
+    """Memory after a step of the clock: what was so long ago is still so long ago. The plan is to be made anew.
+
+    A clock may have stood still while the machine was off, and is put forward only now: what is from before this run,
+    which `began` then by the clock as it is now, was right and stays.
+    """
+    since = began if NONE < by <= LONGEST_OFF else datetime.min.replace(tzinfo=UTC)
+    moved: Memory = _moved(replace(memory, plan=None, orders=None), by, since)
     return moved
 
 
-def _moved(value: Any, by: timedelta) -> Any:
-    """The same with every moment in it moved."""
+def _moved(value: Any, by: timedelta, since: datetime) -> Any:
+    """The same with every moment in it moved that is not before `since` then."""
     if isinstance(value, datetime):
-        return value + by
+        return value + by if value + by >= since else value
     if isinstance(value, tuple):
-        return tuple(_moved(one, by) for one in value)
+        return tuple(_moved(one, by, since) for one in value)
     if is_dataclass(value) and not isinstance(value, type):
-        return replace(value, **{f.name: _moved(getattr(value, f.name), by) for f in fields(value) if f.init})
+        return replace(value, **{f.name: _moved(getattr(value, f.name), by, since) for f in fields(value) if f.init})
     return value

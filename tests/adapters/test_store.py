@@ -175,7 +175,7 @@ def test_a_plan_for_more_than_can_be_charged_is_kept_as_any_other(tmp_path: Path
 
 
 def test_what_was_said_long_ago_is_kept_after_a_clock_of_2150_was_set_right(tmp_path: Path) -> None:
-    memory = shifted(FULL, T0 - datetime(2150, 1, 1, tzinfo=UTC))
+    memory = shifted(FULL, T0 - datetime(2150, 1, 1, tzinfo=UTC), T0)
     with SqliteStore(tmp_path) as store:
         store.save(memory)
         assert store.load() == memory

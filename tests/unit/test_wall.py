@@ -9,7 +9,7 @@ from plugd import wall
 from plugd.domain import Mode, Plan, Relay, SetMode, Setpoint, Status, Trip
 from plugd.wall import Wall, newest, shifted
 from tests.fakes import FakeClock
-from tests.unit.deciding import CHARGER, EVENING, EXPECTED, NIGHT, Room, knows, minutes
+from tests.unit.deciding import CHARGER, EVENING, EXPECTED, HOME, NIGHT, Room, knows, minutes
 
 AT_BOOT = datetime(1970, 1, 1, 0, 0, 20, tzinfo=UTC)
 YEARS = timedelta(days=3652)
@@ -90,14 +90,14 @@ def test_a_step_to_before_the_first_plugd_is_no_time_at_all() -> None:
 def test_after_a_step_everything_is_as_long_ago_as_before() -> None:
     memory = replace(knows(0.5), relay_since=NIGHT, switch_ons=(NIGHT, NIGHT + minutes(1)), moved=(NIGHT,))
     memory = replace(memory, overrides=replace(memory.overrides, trips=(Trip(NIGHT.date()),)))
-    after = shifted(memory, YEARS)
+    after = shifted(memory, YEARS, EVENING)
     assert (after.relay_since, after.switch_ons, after.moved) == (
         NIGHT + YEARS, (NIGHT + YEARS, NIGHT + YEARS + minutes(1)), (NIGHT + YEARS,),
     )  # fmt: skip
     assert after.soc.driven_to == memory.soc.driven_to + YEARS
     assert after.soc.mean == memory.soc.mean
     assert after.overrides == memory.overrides, "days stay days"
-    assert shifted(after, -YEARS) == memory
+    assert shifted(after, -YEARS, EVENING) == memory
 
 
 def test_the_newest_moment_is_that_of_the_last_plan_or_meter_reading() -> None:
@@ -157,6 +157,22 @@ def test_a_step_costs_at_most_one_switch_and_the_homecomings_are_counted_right()
         assert len(house.plug.told) - before <= 1
     assert cycle.memory.soc.driven_to == EXPECTED
     assert cycle.memory.soc.sd < 0.01
+
+
+def test_what_was_before_the_clock_stood_still_stays() -> None:
+    """The mains were away for five hours, and a clock without a battery goes on from where it stood."""
+    noon = EVENING - timedelta(hours=6)
+    memory = knows(0.6, noon)
+    house = Room(EVENING, replace(memory, soc=replace(memory.soc, driven_to=noon)))
+    clock = house.clock = house.plug.clock = Stepping(EVENING, timedelta(hours=-5))
+    cycle = house.begin(house.cycle.memory)
+    cycle.step()
+    clock.at, clock.off = EVENING + minutes(5), timedelta(0)
+    cycle.step()
+    assert cycle.memory.soc.driven_to == noon
+    clock.at = EXPECTED
+    cycle.step()
+    assert cycle.memory.soc.mean == pytest.approx(0.6 - HOME.car.daily_use_kwh / HOME.car.capacity_kwh)
 
 
 def test_a_charger_is_given_all_it_may_have() -> None:
