@@ -39,13 +39,13 @@ def _unheeded(night: Night, start: datetime) -> datetime:
     return next((at for at in night.plug.unheeded if at >= start), night.end)
 
 
-def _told_on(wait_s: float = 0.0) -> When:
-    """So long after the first switch-on that was ordered since."""
+def _told(on: bool, wait_s: float = 0.0) -> When:
+    """So long after the first switch-on (or off) that was ordered since."""
 
     def known(night: Night, start: datetime) -> datetime:
         since = max(start, night.struck_at or start)
-        ons = (at for at, wanted in night.plug.told if wanted.on and at >= since)
-        return next(ons, night.end) + timedelta(seconds=wait_s)
+        moments = (at for at, wanted in night.plug.told if wanted.on is on and at >= since)
+        return next(moments, night.end) + timedelta(seconds=wait_s)
 
     return known
 
@@ -157,6 +157,11 @@ def _lie_on(night: Night) -> None:
 def _truth(night: Night) -> None:
     night.waits = False
     night.device.jammed, night.device.says_on = False, None
+
+
+def _says_on_still(night: Night) -> None:
+    """Its word stands still: told off it is off, and says on."""
+    _once(night, True, lambda: setattr(night.device, "says_on", True))
 
 
 def _meter_reset(night: Night) -> None:
@@ -373,6 +378,28 @@ def _lost_store_found(night: Night) -> None:
         night.cycle.losses = (Fault("history", "the store was damaged, so a new one is begun"),)
 
 
+def _house_dark(night: Night) -> None:
+    """Mains, machine and network are gone; its clock has no battery."""
+    stood = night.clock.at
+
+    def back() -> None:
+        night.clock.off = stood - night.clock.at
+        night.source.error = down()
+        _power_back(night)
+        _restart(night)
+        night.later(night.dice.uniform(1.0, 10.0), lambda: _house_lit(night))
+
+    _kill(night)
+    _power_cut(night)
+    night.later(night.dice.uniform(5.0, 300.0), back)
+
+
+def _house_lit(night: Night) -> None:
+    """The network is back some minutes later, and with it the time: until then it passes for five hours ago at most."""
+    night.source.error = None
+    _right_clock(night)
+
+
 _nothing_begins: Callable[[Night], None] = lambda night: None  # noqa: E731
 YEARS = timedelta(days=3652)
 SOON = (1.0, 20.0)
@@ -401,7 +428,8 @@ TROUBLES: tuple[Trouble, ...] = (
     _row("plug deaf", "Plug unresponsive", _device(deaf=True), says="plug_refuses", known=_unheeded),
     _row("stuck off", "Stuck OFF", (_jam_when(False), _unjam), says="plug_refuses", known=_unheeded, lasts_min=HOURS),
     _row("welded", "Stuck ON / welded", (_jam_when(True), _unjam), says="plug_refuses", known=_unheeded),
-    _row("lies on", "Says ON, is OFF", (_lie_on, _truth), says="no_current", known=_told_on(120.0), lasts_min=HOURS),
+    _row("lies on", "Says ON, is OFF", (_lie_on, _truth), says="no_current", known=_told(True, 120.0), lasts_min=HOURS),
+    _row("says on still", "Says ON, is OFF", (_says_on_still, _truth), says="plug_refuses", known=_told(False)),
     _row("power nonsense", "Nonsense power", _device(says_kw=1e6), says="meter"),
     _row("power negative", "Nonsense power", _device(says_kw=-1.0), says="meter"),
     _row("total absurd", "Nonsense power", _device(says_kwh=lambda _: 1e9), says="meter", known=_given(0.3)),
@@ -425,7 +453,7 @@ TROUBLES: tuple[Trouble, ...] = (
             silent="late is not yet too late: see the next one"),
     Trouble("much too late", "Plugged in late: infeasible", _nothing_begins, before=_much_too_late, says="short of",
             at_h=13.0),
-    Trouble("slow", "Charges slower", _nothing_begins, before=_slow, says="kW, not 2.3", known=_told_on()),
+    Trouble("slow", "Charges slower", _nothing_begins, before=_slow, says="kW, not 2.3", known=_told(True)),
     _row("solver nan", "Solver NaN", _solver(lambda: Qp(_Broken(1, math.nan))), says="solver", known=_next_plan),
     _row("solver wild", "Solver infeasible", _solver(lambda: Qp(_Broken(1, 2143289344.0))), says="solver",
          known=_next_plan),
@@ -433,7 +461,7 @@ TROUBLES: tuple[Trouble, ...] = (
          known=_next_plan),
     _row("solver falls over", "Solver crashes", _solver(lambda: Qp(_Fallen)), says="solver", known=_next_plan),
     _row("planner waits", "Guard: ON whatever the planner says", _solver(_Lazy), before=_without_timer,
-         lasts_min=(1200.0, 1200.0), span_h=(0.0, 2.0), says="the last safe start", known=_told_on()),
+         lasts_min=(1200.0, 1200.0), span_h=(0.0, 2.0), says="the last safe start", known=_told(True)),
     _row("solver raises", "Solver crashes", _solver(_Raises), says="solver", known=_next_plan),
     _row("store fails", "Disk full, read-only", _store_fails(lambda _: True), says="store", known=_next_plan),
     _row("store fails at times", "Disk I/O error", _store_fails(lambda n: n % 3 == 0), says="store", known=_next_plan),
@@ -443,6 +471,7 @@ TROUBLES: tuple[Trouble, ...] = (
     _row("dead for long", "Process kill -9", (_kill, _restart), lasts_min=(60.0, 600.0), silent=NOBODY),
     _row("boot in 1970", "Clock not synced at boot", (_boot_1970, _right_clock), lasts_min=HOURS, says="clock",
          known=_after(30.0)),
+    Trouble("clock stood still", "Clock not synced at boot", _house_dark, silent=NOBODY),
     _row("clock an hour on", "Clock steps", (_step_clock(timedelta(hours=1)), _right_clock), lasts_min=SOON,
          silent=SET),
     _row("clock an hour back", "Clock steps", (_step_clock(timedelta(hours=-1)), _right_clock), lasts_min=SOON,
