@@ -238,15 +238,19 @@ class Night:
         """When it is judged."""
         return self.session.end
 
+    def _in_the_way(self) -> bool:
+        """Whether no power could flow now, whatever anybody does. A plug without a timer does nothing unless told."""
+        device = self.device
+        unreached = self.lost_at is not None and not self.home.capability.dead_man
+        return not device.powered or not self.car.connected or (not device.on and (device.jammed or unreached))
+
     def deliverable(self) -> bool:
         """Whether power could flow now if everybody who works did the right thing."""
-        device = self.device
-        if not device.powered or (device.jammed and not device.on) or not self.car.connected:
+        if self._in_the_way():
             return False
-        if self.lost_at is None or device.on:
+        if self.lost_at is None or self.device.on:
             return True
-        timed = self.home.capability.dead_man and not self.stuck_alone
-        return timed and self.clock.at - self.lost_at >= timedelta(seconds=TIMER_S)
+        return not self.stuck_alone and self.clock.at - self.lost_at >= timedelta(seconds=TIMER_S)
 
     def run(self) -> None:
         """Live it."""
@@ -274,8 +278,7 @@ class Night:
 
     def _see_what_is_possible(self) -> None:
         """Nobody foresees a plug that sticks: what is possible afterwards begins where that began."""
-        device = self.device
-        blocked = not device.powered or (device.jammed and not device.on) or not self.car.connected
+        device, blocked = self.device, self._in_the_way()
         if blocked and not self.blocked and self.reach is not None:
             self.reach.energy_kwh = min(self.reach.energy_kwh, self.car.battery.energy_kwh)
         self.blocked = blocked
