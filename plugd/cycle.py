@@ -62,6 +62,8 @@ class Cycle:
     """The ledger, where one is kept."""
     errands: Sequence[Errand] = ()
     """What is done beside all this when there is time."""
+    unset: Callable[[], bool] = lambda: False
+    """Whether nobody has told this machine the time since it was switched on."""
     faults: Register = field(default_factory=Register)
     decision: Decision | None = None
     shown: Decision | None = None
@@ -129,7 +131,7 @@ class Cycle:
     def _now(self) -> datetime:
         """The time as it is believed. After a step of the clock all is planned anew."""
         shown = self.clock.now()
-        now = self.wall.look(shown, self.clock.monotonic())
+        now = self.wall.look(shown, self.clock.monotonic(), self.unset())
         self.ahead = shown - now
         if self.wall.jumped:
             ran_s = self.clock.monotonic() - self.began_s

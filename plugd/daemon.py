@@ -4,7 +4,7 @@ import logging
 import os
 import random
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from datetime import timedelta
@@ -259,8 +259,11 @@ def ailment(decision: Decision | None, connection: MqttConnection) -> str | None
     return None if connection.alive else "the thread of the broker's connection has ended"
 
 
-def run(config: "Config", clock: Clock) -> None:
-    """Run until a signal. Raises ConfigError, AlreadyRunning, StoreError before anything is switched."""
+def run(config: "Config", clock: Clock, unset: Callable[[], bool] = lambda: False) -> None:
+    """Run until a signal. Raises ConfigError, AlreadyRunning, StoreError before anything is switched.
+
+    `unset`: whether nobody has told this machine the time since it was switched on.
+    """
     stop, allocator = Stop(), Allocator()
     with ExitStack() as left:
         store = KeptTwice(state_folder(config))
@@ -271,6 +274,7 @@ def run(config: "Config", clock: Clock) -> None:
         left.callback(connection.close)
         left.enter_context(_signals(stop, connection))
         cycle = cycle_for(config, clock, connection, store, safe=safe)
+        cycle.unset = unset
         log.info("plugd %s runs: %s", __version__, _told(config))
         connection.start()
         connection.wait_connected(BROKER_PATIENCE_S)

@@ -1,7 +1,8 @@
 """Whether the wall clock can be believed, and how far it has jumped beside the clock that only counts. Pure.
 
 A machine without a battery for its clock starts in 1970, or where it was switched off, until the network tells it the
-time. Until then plugd lives on its own time: from the newest moment it knows of, by the monotonic clock.
+time. Until then plugd lives on its own time: from the newest moment it knows of, by the monotonic clock. The true one
+may be hours ahead of that, so nothing is put off by it.
 """
 
 from dataclasses import dataclass, fields, is_dataclass, replace
@@ -45,25 +46,29 @@ class Wall:
         """Whether it is."""
         return self._doubted_s is None
 
-    def look(self, shown: datetime, now_s: float) -> datetime:
-        """The time now: what is shown where that can be, else one's own."""
+    def look(self, shown: datetime, now_s: float, unset: bool = False) -> datetime:
+        """The time now: what is shown where that can be, else one's own.
+
+        `unset`: nobody has told this machine the time since it was switched on.
+        """
         last, self._last = self._last, (shown, now_s)
         step = NONE if last is None else shown - last[0] - timedelta(seconds=now_s - last[1])
         step = step if abs(step) > STEP else NONE
         if self._doubted_s is not None:
-            return self._in_doubt(shown, now_s, stepped=step != NONE)
-        if shown >= (self.known - TOLERANCE if last is None else BUILT):
+            return self._in_doubt(shown, now_s, stepped=step != NONE, unset=unset)
+        unset = unset and last is None  # what was believed once has been told
+        if shown >= (self.known - TOLERANCE if last is None else BUILT) and not unset:
             self.jumped = step
             return shown
-        self._own = (self.known, now_s) if last is None else last
+        self._own = (max(self.known, shown), now_s) if last is None else last
         self._doubted_s, self.jumped = now_s, NONE
         return self._own[0] + timedelta(seconds=now_s - self._own[1])
 
-    def _in_doubt(self, shown: datetime, now_s: float, stepped: bool) -> datetime:
+    def _in_doubt(self, shown: datetime, now_s: float, stepped: bool, unset: bool) -> datetime:
         """One's own time, until the clock is set, has caught up, or has not been corrected for a day."""
         own = self._own[0] + timedelta(seconds=now_s - self._own[1])
         waited_s = now_s - (self._doubted_s or 0.0)
-        set_right = shown >= BUILT and (stepped or shown >= self.known - TOLERANCE)
+        set_right = not unset and shown >= BUILT and (stepped or shown >= self.known - TOLERANCE)
         if not (set_right or waited_s >= PATIENCE_S):
             return own
         self._doubted_s = None

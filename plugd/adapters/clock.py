@@ -3,6 +3,7 @@
 import time
 from contextlib import suppress
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 
 from apscheduler.events import EVENT_JOB_ERROR, JobExecutionEvent
 from apscheduler.executors.pool import ThreadPoolExecutor
@@ -15,9 +16,23 @@ from apscheduler.triggers.interval import IntervalTrigger
 from plugd.adapters.bell import Bell
 from plugd.errors import PlugdError
 from plugd.ports import Inbox
+from plugd.wall import PATIENCE_S
 
 BEAT_S = 10
 """No wait lasts longer: wall time may step under a sleeper, and the guard looks this often."""
+
+
+TOLD = Path("/run/systemd/timesync/synchronized")
+"""Touched by systemd-timesyncd whenever it has heard the time: systemd-timesyncd.service(8)."""
+
+
+def unset(told: Path = TOLD) -> bool:
+    """Whether nobody has told this machine the time since it was switched on, as far as systemd-timesyncd knows.
+
+    A clock without a battery then shows when the machine was switched off. Who keeps the time otherwise is believed,
+    and after a day whatever it shows.
+    """
+    return told.parent.is_dir() and not told.exists() and time.monotonic() < PATIENCE_S
 
 
 def utc_now() -> datetime:

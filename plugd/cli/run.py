@@ -12,12 +12,12 @@ def add(commands: Commands) -> None:
 
 def _run(options: argparse.Namespace) -> int:
     from plugd import daemon
-    from plugd.adapters.clock import SystemClock
+    from plugd.adapters.clock import SystemClock, unset
     from plugd.config.handed import load
 
     clock = SystemClock()
     try:
-        daemon.run(load(config_path(options)), clock)
+        daemon.run(load(config_path(options)), clock, unset)
     finally:
         clock.close()
     return 0

@@ -121,6 +121,8 @@ class Night:
     """Since when nothing reaches the plug."""
     blocked: bool = False
     """Plug, mains or car stand in the way, whatever anybody does."""
+    untold: bool = False
+    """Nobody has told the machine the time since it was switched on."""
     stuck_alone: bool = False
     """It stuck off when nobody reached it and no timer ran any more: whoever told it to come on did so in vain."""
     waits: bool = False
@@ -195,6 +197,7 @@ class Night:
             memory=memory or fresh(self.clock.now()),
             spread=lambda: 0.5,
             forecast=forecast,
+            unset=lambda: self.untold,
         )
         self.lost_at = None if self.reachable() else self.lost_at
 

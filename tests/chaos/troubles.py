@@ -383,11 +383,12 @@ def _house_dark(night: Night) -> None:
     stood = night.clock.at
 
     def back() -> None:
-        night.clock.off = stood - night.clock.at
+        night.clock.off, night.untold = stood - night.clock.at, True
         night.source.error = down()
+        night.struck_at = night.clock.at
         _power_back(night)
         _restart(night)
-        night.later(night.dice.uniform(1.0, 10.0), lambda: _house_lit(night))
+        night.later(night.dice.choice((night.dice.uniform(1.0, 10.0), 900.0)), lambda: _house_lit(night))
 
     _kill(night)
     _power_cut(night)
@@ -395,8 +396,8 @@ def _house_dark(night: Night) -> None:
 
 
 def _house_lit(night: Night) -> None:
-    """The network is back some minutes later, and with it the time: until then it passes for five hours ago at most."""
-    night.source.error = None
+    """The network is back some minutes later, or only after the morning, and with it the time."""
+    night.source.error, night.untold = None, False
     _right_clock(night)
 
 
@@ -471,7 +472,7 @@ TROUBLES: tuple[Trouble, ...] = (
     _row("dead for long", "Process kill -9", (_kill, _restart), lasts_min=(60.0, 600.0), silent=NOBODY),
     _row("boot in 1970", "Clock not synced at boot", (_boot_1970, _right_clock), lasts_min=HOURS, says="clock",
          known=_after(30.0)),
-    Trouble("clock stood still", "Clock not synced at boot", _house_dark, silent=NOBODY),
+    Trouble("clock stood still", "Clock not synced at boot", _house_dark, says="clock", known=_struck),
     _row("clock an hour on", "Clock steps", (_step_clock(timedelta(hours=1)), _right_clock), lasts_min=SOON,
          silent=SET),
     _row("clock an hour back", "Clock steps", (_step_clock(timedelta(hours=-1)), _right_clock), lasts_min=SOON,

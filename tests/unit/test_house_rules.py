@@ -172,7 +172,7 @@ def test_the_command_and_the_demo_run_the_same_daemon() -> None:
         for node in ast.walk(ast.parse((ROOT / "plugd/cli/run.py").read_text()))
         if isinstance(node, ast.FunctionDef) and node.name == "_run"
     )
-    assert "daemon.run(load(config_path(options)), clock)" in ast.unparse(run)
+    assert "daemon.run(load(config_path(options)), clock, unset)" in ast.unparse(run)
     started = ast.unparse(ast.parse((ROOT / "hil/plugd_hil/demo_run.py").read_text()))
     assert "children.start('plugd', 'plugd_hil.daemon', '-c', str(config), '--clock', clock, *look)" in started
 

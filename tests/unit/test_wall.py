@@ -60,6 +60,30 @@ def test_a_clock_that_nobody_corrects_for_a_day_is_believed() -> None:
     assert found.jumped == -YEARS, "what was stored is from a clock that ran ahead"
 
 
+def test_one_that_nobody_has_told_the_time_is_not_believed_until_somebody_does() -> None:
+    found = Wall(NIGHT)
+    assert found.look(NIGHT + minutes(5), 0.0, unset=True) == NIGHT + minutes(5)
+    assert found.look(NIGHT + minutes(65), 3600.0, unset=True) == NIGHT + minutes(65)
+    assert not found.believed
+    five_hours_on = NIGHT + timedelta(hours=5)
+    assert found.look(five_hours_on, 3610.0) == five_hours_on
+    assert (found.believed, found.jumped) == (True, timedelta(0)), "time has just passed"
+
+
+def test_what_was_told_once_stays_told() -> None:
+    found = Wall(NIGHT)
+    found.look(NIGHT, 0.0)
+    found.look(NIGHT + minutes(1), 60.0, unset=True)
+    assert found.believed
+
+
+def test_one_that_was_right_all_along_is_believed_once_that_is_known() -> None:
+    found = Wall(NIGHT)
+    found.look(NIGHT, 0.0, unset=True)
+    assert found.look(NIGHT + minutes(1), 60.0) == NIGHT + minutes(1)
+    assert (found.believed, found.jumped) == (True, timedelta(0))
+
+
 @pytest.mark.parametrize("by", [timedelta(hours=1), timedelta(hours=-1), YEARS, timedelta(seconds=31)])
 def test_a_step_is_noticed_once(by: timedelta) -> None:
     found = Wall()
