@@ -25,14 +25,11 @@ from plugd.planner.problem import Problem, Solution, Solver
 from plugd.planner.qp import Qp
 from plugd.plausible import believed
 from plugd.ports import Clock, Plug, Tended
+from plugd.remedies import NO_COVER
 from plugd.units import kw_of, slot_start, to_w
 
 SETTLE = timedelta(seconds=6)
 """A plug tells its power 2 to 5 s after it was switched on."""
-NO_COVER = (
-    "no timer of its own: switched off, it stays off if plugd or the broker dies, and the car is not charged; "
-    "docs/hardware.md names plugs that switch on by themselves"
-)
 NO_PLUG = "; is it on, and at this broker, and are plug.kind and plug.topic right?"
 LEAST_FREE_MB = 50
 """With less than that a database soon cannot be written."""
@@ -212,7 +209,8 @@ def _plug(config: Config, click: bool) -> str:
             raise PlugTimeout(f"{error}{'' if isinstance(plug, Tended) else NO_PLUG}") from error
         if click:
             told = _clicked(plug, clock, connection, _daemon_runs(others))
-        cover = "" if plug.capability.dead_man else f"; {NO_COVER}"
+        better = "docs/hardware.md names plugs that switch on by themselves"
+        cover = "" if plug.capability.dead_man else f"; {NO_COVER}; {better}"
         if isinstance(plug, Tended):
             cover = "; it stops by itself 5 s after plugd's last word, so a dead plugd leaves it OFF"
         return told + cover + "".join(f"; {w.text}" for w in plug.warnings)

@@ -7,6 +7,9 @@ from typing import NamedTuple
 
 from plugd.domain import Fault
 
+NO_COVER = "no timer of its own: switched off, it stays off if plugd or the broker dies, and the car is not charged"
+"""What is true of a plug without a dead-man, fault or not."""
+
 
 class Known(NamedTuple):
     """A fault as people are told of it."""

@@ -179,6 +179,7 @@ def live(snapshot: Snapshot, state: dict[str, Any], scores: tuple[LeadScore, ...
         "drawing": drawings(snapshot, says(snapshot)),
         "forecast": forecast_words(snapshot),
         "learned": state["learned"],
+        "cover": "" if snapshot.household.capability.dead_man else f"The plug has {remedies.NO_COVER}.",
         "nights": [night_line(night) for night in nights[-SHOWN_NIGHTS:][::-1]],
         "month": ledger.total(nights),
         "scores": scores,

@@ -69,6 +69,14 @@ def test_the_page_says_what_is_done_and_why_and_draws_the_nights(served: Served)
         assert words in page.text
 
 
+def test_a_plug_that_a_dead_plugd_leaves_off_is_marked(served: Served) -> None:
+    marked = "The plug has no timer of its own: switched off, it stays off if plugd or the broker dies"
+    for timed in (True, False):
+        served.desk.household = replace(HOME, capability=replace(HOME.capability, dead_man=timed))
+        served.later(minutes=1)
+        assert (marked in served.get().text) is not timed
+
+
 def test_forecasts_are_scored_beside_everything_else(served: Served) -> None:
     assert "<dd>12 g<small>8 %</small></dd>" in scored(served)
 
