@@ -74,6 +74,8 @@ class Cycle:
     wall: Wall = field(init=False)
     began_s: float = 0.0
     """When it was made, by the monotonic clock."""
+    began: datetime | None = None
+    """The same by the time that is believed."""
     ahead: timedelta = timedelta(0)
     """How far the clock is ahead of the time that is believed."""
     losses: Sequence[Fault] = ()
@@ -133,6 +135,7 @@ class Cycle:
         shown = self.clock.now()
         now = self.wall.look(shown, self.clock.monotonic(), self.unset())
         self.ahead = shown - now
+        self.began = now if self.began is None else self.began + self.wall.jumped
         if self.wall.jumped:
             ran_s = self.clock.monotonic() - self.began_s
             self.memory = shifted(self.memory, self.wall.jumped, began=now - timedelta(seconds=ran_s))
@@ -252,7 +255,7 @@ class Cycle:
             return
         seen = self._seen(reading)
         fresh = self.controller.describe(now, seen, self.memory, self.decision.outlook)
-        fresh = replace(fresh, saved=self.book.saved(now) if self.book else None)
+        fresh = replace(fresh, saved=self.book.saved(now) if self.book else None, running_since=self.began)
         self.shown = replace(fresh, answers=self.decision.answers if self.planned_at == now else ())
         self.hub.publish(fresh, reading)
 

@@ -673,6 +673,8 @@ class Decision:
     answers: tuple[Answer, ...] = ()
     saved: Savings | None = None
     """None where no ledger is kept."""
+    running_since: datetime | None = None
+    """When the program that decides was started."""
 
 
 @dataclass(frozen=True, slots=True)

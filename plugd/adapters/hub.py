@@ -296,5 +296,6 @@ def state(decision: Decision, reading: Reading | None, household: Household) -> 
         "forecast_until": iso(outlook.forecast_until) if outlook and outlook.forecast_until else None,
         "faults": [{"code": f.code, "text": f.text, "remedy": remedies.remedy(f)} for f in decision.faults],
         "guard_count": memory.guard_count,
+        "running_since": iso(decision.running_since) if decision.running_since else None,
         "version": __version__,
     }

@@ -166,11 +166,13 @@ def forecast_words(snapshot: Snapshot) -> str:
 def live(snapshot: Snapshot, state: dict[str, Any], scores: tuple[LeadScore, ...]) -> dict[str, Any]:
     """Everything on the page that changes by itself."""
     nights = [night for night in snapshot.nights if _seen(night)]
-    local = snapshot.decision.at.astimezone(ZoneInfo(snapshot.household.timezone))
+    zone = ZoneInfo(snapshot.household.timezone)
+    at, since = snapshot.decision.at, snapshot.decision.running_since or snapshot.decision.at
     return {
         "status": STATUS[snapshot.decision.status],
         "reason": snapshot.decision.reason,
-        "at": f"{local:%a %-d %b, %H:%M}",
+        "at": f"{at.astimezone(zone):%a %-d %b, %H:%M}",
+        "since": f"{since.astimezone(zone):%a %-d %b, %H:%M}",
         "faults": [
             {"title": remedies.title(fault), "text": fault.text, "remedy": remedies.remedy(fault)}
             for fault in snapshot.decision.faults

@@ -405,7 +405,7 @@ _nothing_begins: Callable[[Night], None] = lambda night: None  # noqa: E731
 YEARS = timedelta(days=3652)
 SOON = (1.0, 20.0)
 OWN_TIME = "each of its half hours counts for its own time, and what it leaves out is the usual day"
-NOBODY = "nobody is there to say it but the last will; afterwards nothing is to be seen of it"
+NOBODY = "nobody is there to say it but the last will; afterwards `running_since` tells when it began anew"
 SET = "somebody has set the clock: all is planned anew, and nobody has anything to do"
 HOURS = (5.0, 240.0)
 

@@ -199,6 +199,18 @@ def test_what_was_before_the_clock_stood_still_stays() -> None:
     assert cycle.memory.soc.mean == pytest.approx(0.6 - HOME.car.daily_use_kwh / HOME.car.capacity_kwh)
 
 
+def test_since_when_it_runs_is_told_by_the_clock_as_it_is_now() -> None:
+    house = Room(EVENING, knows(0.6))
+    clock = house.clock = house.plug.clock = Stepping(EVENING)
+    cycle = house.begin(house.cycle.memory)
+    for off in (timedelta(0), timedelta(hours=1), YEARS):
+        clock.off = off
+        clock.at += minutes(5)
+        cycle.step()
+        assert cycle.shown is not None
+        assert cycle.shown.running_since == EVENING + minutes(5) + off
+
+
 def test_a_charger_is_given_all_it_may_have() -> None:
     found, _ = looked(NIGHT, (0.0, AT_BOOT))
     told = Setpoint(0.0, NIGHT)

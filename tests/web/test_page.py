@@ -65,7 +65,7 @@ def test_the_page_says_what_is_done_and_why_and_draws_the_nights(served: Served)
     assert served.room.hub.decision is not None
     assert served.room.hub.decision.reason in page.text
     assert page.text.count("<svg") >= 2
-    for words in ("Every morning at least", "Ready by", "A trip", "What it saved"):
+    for words in ("Every morning at least", "Ready by", "A trip", "What it saved", "running since Mon 2 Jan, 23:00"):
         assert words in page.text
 
 
