@@ -64,6 +64,8 @@ class Cycle:
     """What is done beside all this when there is time."""
     unset: Callable[[], bool] = lambda: False
     """Whether nobody has told this machine the time since it was switched on."""
+    ails: Callable[[], tuple[Fault, ...]] = tuple
+    """What ails the machine itself."""
     faults: Register = field(default_factory=Register)
     decision: Decision | None = None
     shown: Decision | None = None
@@ -156,7 +158,7 @@ class Cycle:
         self, reading: Reading | None, orders: tuple[Command, ...] = (), history: tuple[Intensity, ...] = ()
     ) -> Observation:
         lost = self.losses if self.clock.monotonic() - self.began_s < LOSS_TOLD_S else ()
-        found = (*lost, *self.faults, *self.wall.faults(), *self.plug.warnings, *self.hub.warnings)
+        found = (*lost, *self.faults, *self.wall.faults(), *self.plug.warnings, *self.hub.warnings, *self.ails())
         zone = self.controller.household.timezone
         faults = {fault.code: replace(fault, text=in_local_time(fault.text, zone)) for fault in found}
         return Observation(reading, self.forecast, history, orders, tuple(faults.values()))

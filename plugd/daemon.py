@@ -26,6 +26,7 @@ from plugd.adapters.planner_child import PlannerChild
 from plugd.adapters.shelly2 import Shelly2
 from plugd.adapters.starts import Starts
 from plugd.adapters.store import SqliteStore
+from plugd.adapters.supply import Supply
 from plugd.adapters.switched import SwitchedPlug
 from plugd.adapters.systemd import Supervisor
 from plugd.adapters.tasmota import Tasmota
@@ -274,7 +275,7 @@ def run(config: "Config", clock: Clock, unset: Callable[[], bool] = lambda: Fals
         left.callback(connection.close)
         left.enter_context(_signals(stop, connection))
         cycle = cycle_for(config, clock, connection, store, safe=safe)
-        cycle.unset = unset
+        cycle.unset, cycle.ails = unset, Supply().faults
         log.info("plugd %s runs: %s", __version__, _told(config))
         connection.start()
         connection.wait_connected(BROKER_PATIENCE_S)

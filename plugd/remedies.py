@@ -79,6 +79,10 @@ KNOWN: dict[str, Known] = {
         "Something else switches this plug",
         "Stop the other one: an automation, a timer, an app. One plug wants one controller.",
     ),
+    "weak_supply": Known(
+        "The Raspberry Pi's supply is too weak",
+        "Take the supply made for it, and nothing else on its USB: at too little voltage it stops, and cards break.",
+    ),
     "taken_over": Known(
         "Another program has plugd's place at the broker",
         "Stop the other one: a second plugd, or a program with the same client id; or give them different names.",

@@ -83,6 +83,7 @@ NOT_IN_A_SCENARIO = {
     "clock": "tests/unit/test_wall.py",
     "safe_mode": "tests/unit/test_safe_mode.py",
     "solver": "tests/unit/test_cycle.py",
+    "weak_supply": "tests/adapters/test_supply.py",
     "taken_over": "tests/adapters/test_mqtt.py",
     "soc_stale": "tests/chaos/troubles.py",
     "history": "tests/unit/test_daemon.py",
