@@ -538,9 +538,9 @@ CONTROLLED = "import fcntl, os, sys, termios; fcntl.ioctl(0, termios.TIOCSCTTY, 
 
 
 class Seat:
-    """A person at a terminal of their own."""
+    """A person at a terminal of their own. A prompt that is wider, as with a long path, scrolls out of sight."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, columns: int = 200) -> None:
         self._ours, theirs = pty.openpty()
         command = [sys.executable, "-m", "plugd", "init", "--out", str(path)]
         self.process = subprocess.Popen(
@@ -549,7 +549,7 @@ class Seat:
             stdout=theirs,
             stderr=theirs,
             start_new_session=True,
-            env=environment(TERM="dumb", COLUMNS="80"),
+            env=environment(TERM="dumb", COLUMNS=str(columns)),
         )
         os.close(theirs)
         self._seen, self._read = "", 0
@@ -615,7 +615,7 @@ def plugged(mosquitto: Mosquitto) -> Iterator[Mosquitto]:
 
 
 def test_a_terminal_breaks_no_line_within_a_word(tmp_path: Path) -> None:
-    with Seat(tmp_path / "plugd.toml") as seat:
+    with Seat(tmp_path / "plugd.toml", columns=80) as seat:
         seat.until(": ")
         seat.type("Londn")
         said = seat.until("did you") + seat.until("]: ")
