@@ -3,6 +3,7 @@
 import json
 import sqlite3
 import zlib
+from contextlib import closing
 from datetime import timedelta
 from pathlib import Path
 
@@ -18,10 +19,8 @@ from tests.unit.test_ledger import row
 
 def changed(folder: Path, statement: str, *values: object) -> None:
     """The database, as somebody else's hand left it."""
-    db = sqlite3.connect(folder / "plugd.db")
-    with db:
+    with closing(sqlite3.connect(folder / "plugd.db")) as db, db:
         assert db.execute(statement, values).rowcount == 1
-    db.close()
 
 
 @pytest.mark.parametrize(
